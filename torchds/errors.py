@@ -1,0 +1,48 @@
+"""The error family: every message says what was received, what is allowed, and how to fix it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class TorchdsError(Exception):
+    """Root of all errors raised by this project."""
+
+
+class InvalidArgumentError(TorchdsError, ValueError):
+    """An argument has a value, a shape or a combination that is not allowed."""
+
+
+class InvalidDemonstrationsError(TorchdsError, ValueError):
+    """Recorded data cannot be used: too short, not finite, mixed dimensions, no time step."""
+
+
+class DemonstrationFileError(InvalidDemonstrationsError):
+    """A file of demonstrations is not what its name claims."""
+
+
+class DegenerateMixtureError(TorchdsError, ValueError):
+    """A Gaussian mixture cannot be fitted to, or built from, what was given."""
+
+
+class UnknownNameError(TorchdsError, ValueError):
+    """A name is not in a registry; the message lists the nearest names and all that exist."""
+
+    def __init__(self, kind: str, received: str, allowed: Iterable[str]) -> None:
+        allowed = sorted(allowed)
+        lowered = {name.lower(): name for name in allowed}
+        near = [lowered[n] for n in difflib.get_close_matches(received.lower(), lowered, n=3, cutoff=0.5)]
+        hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+        super().__init__(f"unknown {kind} {received!r}.{hint} Known: {', '.join(allowed)}.")
+
+
+class AllRolloutsFailedError(TorchdsError, RuntimeError):
+    """Every roll-out of an update had a cost that is not finite; the parameters were left as they were."""
+
+
+class MissingPackageError(TorchdsError, ImportError):
+    """An optional package is not installed; the message names the extra that brings it."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(f"{purpose} needs the package {package!r}. Install it with: pip install 'torchds[{extra}]'")
