@@ -1,0 +1,68 @@
+"""torchds: learn robot motions from demonstrations and rewards.
+
+Demonstrations become a Gaussian mixture, the mixture becomes a time-invariant dynamical system with a frozen gating
+(`GMRPolicy`), and policy search improves it by trial:
+
+    demonstrations ──fit──▶ mixture ──condition──▶ GMRPolicy ──rollout──▶ Rollout ──cost terms──▶ cost (N,)
+                                                       ▲                                             │
+                                                       └──────────── PIBB.step(closure) ◀────────────┘
+                                                                          ▲
+                                                                     exploration
+
+Axes, in all docstrings: `*batch` policies, `N` roll-outs (parameter samples), `S` starts, `K` components, `D` inputs, `O`
+velocity outputs, `Q` stiffness outputs, `T` steps, `P` flattened parameters, `F` = K (D+1) features. Time is axis -2, the
+vector axis -1, batches lead. A policy has a `batch_shape` (that of `A`, in front of `K, O, D`); a state has shape
+`(*batch_shape, *points, D)`. While `PIBB` evaluates, every parameter carries an extra leading `N`.
+
+Example:
+    >>> import torch, torchds
+    >>> demos = torchds.load_lasa("NShape", n_demos=3, duration=12.0)
+    >>> policy = torchds.GMRPolicy.from_demonstrations(demos.every(5), n_components=4)
+    >>> noise = torchds.exploration.Homogeneous(policy, mean_speed=2.0)
+    >>> optim = torchds.optim.PIBB(policy.parameters(), exploration=noise, n_rollouts=10)
+    >>> target = torch.tensor([-20.0, -10.0], dtype=torch.float64)
+    >>> def closure():
+    ...     path = torchds.rollout(policy, demos[0].x[0], n_steps=120, dt=0.1)
+    ...     return torchds.costs.via_points(path.x, target[None])
+    >>> costs = [float(optim.step(closure)) for _ in range(10)]
+    >>> costs[-1] < costs[0]
+    True
+"""
+
+from torchds import costs as costs
+from torchds import errors as errors
+from torchds import exploration as exploration
+from torchds import optim as optim
+from torchds import visits as visits
+from torchds.demonstrations import Demonstration as Demonstration
+from torchds.demonstrations import Demonstrations as Demonstrations
+from torchds.demonstrations import load_csv as load_csv
+from torchds.demonstrations import load_lasa as load_lasa
+from torchds.demonstrations import load_mat as load_mat
+from torchds.demonstrations import load_npz as load_npz
+from torchds.mixture import Conditional as Conditional
+from torchds.mixture import GaussianMixture as GaussianMixture
+from torchds.policy import GMRPolicy as GMRPolicy
+from torchds.rollouts import Bounds as Bounds
+from torchds.rollouts import Rollout as Rollout
+from torchds.rollouts import rollout as rollout
+
+__all__ = [
+    "Bounds",
+    "Conditional",
+    "Demonstration",
+    "Demonstrations",
+    "GMRPolicy",
+    "GaussianMixture",
+    "Rollout",
+    "costs",
+    "errors",
+    "exploration",
+    "load_csv",
+    "load_lasa",
+    "load_mat",
+    "load_npz",
+    "optim",
+    "rollout",
+    "visits",
+]

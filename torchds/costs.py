@@ -1,0 +1,74 @@
+"""Cost terms over trajectories, and the control cost of Algorithm 1."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def via_points(x: Tensor, points: Tensor) -> Tensor:
+    """Σ_l min_{j ≥ 1} |x_l^via − x_j|², the via-point term of Eq. 39.
+
+    Args:
+        x: `(..., T+1, D)` states, the start first (it does not count).
+        points: `(L, D)` via-points.
+
+    Returns:
+        `(...)`.
+    """
+    return (x[..., 1:, None, :] - points).square().sum(-1).amin(-2).sum(-1)
+
+
+def goal(x: Tensor, target: Tensor) -> Tensor:
+    """|x^goal − x_T|², the goal term of Eq. 39, `(...)` for `x` `(..., T+1, D)` and `target` `(D,)`."""
+    return (x[..., -1, :] - target).square().sum(-1)
+
+
+def acceleration(v: Tensor) -> Tensor:
+    """Σ_j |v_j − v_{j−1}|, `(...)` for `v` `(..., T, O)`: Eq. 39's running cost, not divided by dt."""
+    return torch.linalg.vector_norm(v.diff(dim=-2), dim=-1).sum(-1)
+
+
+def path_length(v: Tensor, dt: float) -> Tensor:
+    """Σ_j |v_j| dt, `(...)` for `v` `(..., T, O)` (Eq. 41)."""
+    return torch.linalg.vector_norm(v, dim=-1).sum(-1) * dt
+
+
+def stiffness(s: Tensor, n_axes: int | None = None) -> Tensor:
+    """Σ_j |s_j|, `(...)` for `s` `(..., T, Q)` (Eq. 49).
+
+    Args:
+        s: stiffness rows [N/m].
+        n_axes: axes that share the rows equally; an isotropic row of two axes costs √2 |s|, as two equal ones do.
+    """
+    scale = 1.0 if n_axes is None else (n_axes / s.shape[-1]) ** 0.5
+    return scale * torch.linalg.vector_norm(s, dim=-1).sum(-1)
+
+
+def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: float | Tensor) -> Tensor:
+    r"""Υ_t = (θ* + M_t ε)ᵀ R (θ* + M_t ε) of Algorithm 1, lines 15-16, without a P×P matrix.
+
+    With R diagonal and G = [gᵀ ⊗ I], M projects each output row of ε on its features g, hence per row
+
+    .. math:: Υ = θ^{*T} R θ^* + \frac{2 (θ^* · g)(ε · g) + (ε · g)^2}{g^T R^{-1} g}.
+
+    Line 16 as printed mixes the indices of ε; ε is constant along a roll-out, so they are the same.
+
+    Args:
+        deviation: `(*batch, O, F)` θ*, the distance from the demonstrated policy, one row per output.
+        noise: `(*batch, O, F)` ε.
+        features: `(*batch, T, F)` g_t = h_k(x_t) [x_t, 1].
+        weight: R, a number r for r I or its diagonal `(*batch, O, F)`. A parameter of weight zero is free: it costs
+            nothing and M does not see it.
+
+    Returns:
+        `(*batch, T)`; the cost of a roll-out is ½ Σ_t Υ_t.
+    """
+    weight = torch.as_tensor(weight, dtype=features.dtype, device=features.device).expand(deviation.shape)
+    controlled = weight > 0
+    inverse = torch.where(controlled, 1.0 / weight, 0.0)
+    drift = torch.where(controlled, deviation, 0.0) @ features.mT  # (*batch, O, T): θ*·g
+    push = torch.where(controlled, noise, 0.0) @ features.mT  # ε·g
+    size = inverse @ features.square().mT  # gᵀR⁻¹g
+    moved = torch.where(size > 0, (2 * drift + push) * push / size, 0.0)
+    return ((weight * deviation.square()).sum(-1, keepdim=True) + moved).sum(-2)

@@ -1,0 +1,7 @@
+"""Exploration: objects that shape unit normals into parameter noise (section 4)."""
+
+from torchds.exploration.base import Exploration as Exploration
+from torchds.exploration.gaussian import Gaussian as Gaussian
+from torchds.exploration.homogeneous import Homogeneous as Homogeneous
+
+__all__ = ["Exploration", "Gaussian", "Homogeneous"]

@@ -1,0 +1,62 @@
+"""What an optimizer asks of an exploration."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from torch import Tensor, nn
+
+from torchds.errors import InvalidArgumentError
+
+
+class Exploration(ABC):
+    """Shapes unit normals into parameter noise.
+
+    An optimizer draws one standard normal per parameter entry and roll-out, scales it by its `lr`, and calls the
+    exploration on the parameters of one group. Drawing and shaping are apart, so that a test or a comparison can hand
+    in its own normals.
+    """
+
+    @abstractmethod
+    def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
+        """The noise of each parameter.
+
+        Args:
+            parameters: of one optimizer group, at their unperturbed values.
+            normals: one `(N, *parameter.shape)` for each, standard normal times the scale of the exploration.
+
+        Returns:
+            One `(N, *parameter.shape)` for each.
+        """
+
+    def check(self, parameters: Sequence[nn.Parameter]) -> None:
+        """Refuse parameters that this exploration cannot perturb, before any learning starts.
+
+        Raises:
+            InvalidArgumentError: what was received and what is allowed.
+        """
+
+    def state_dict(self) -> dict[str, Any]:
+        """What changes while learning; plain values and tensors only."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` gave."""
+
+
+def name_parameters(module: nn.Module, parameters: Sequence[nn.Parameter], who: str) -> list[str]:
+    """The name in `module` of each parameter.
+
+    Raises:
+        InvalidArgumentError: a parameter is not one of the module's.
+    """
+    names = {id(p): name for name, p in module.named_parameters()}
+    strangers = [tuple(p.shape) for p in parameters if id(p) not in names]
+    if strangers:
+        raise InvalidArgumentError(
+            f"{who} explores {sorted(names.values())} of the policy it was made with, but the optimizer group has other "
+            f"parameters of shape {strangers}; make the exploration with the policy whose parameters are optimised"
+        )
+    return [names[id(p)] for p in parameters]

@@ -1,0 +1,110 @@
+"""Noise that is homogeneous and isotropic in task space (section 4.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from torchds.errors import InvalidArgumentError
+from torchds.exploration.base import Exploration, name_parameters
+from torchds.policy import GMRPolicy, chi_mean
+
+Rule = Literal["moment", "centre", "printed"]
+
+
+class Homogeneous(Exploration):
+    r"""Independent noise whose effect on the velocity has the same size at every centre (Eq. 14-18).
+
+    The velocity noise at a centre, ε_b + Σ_d μ_d ε_{A,d}, gets the mean norm `mean_speed`. In O dimensions that norm
+    follows a chi distribution (Rayleigh for 2, Maxwell-Boltzmann for 3), so with \tilde σ = mean_speed / E|z| each of
+    the D + 1 terms has the share σ² = \tilde σ² / (D + 1), and
+
+    .. math:: σ_{b^k} = σ, \qquad σ_{A^k_{j,d}} = σ / m_{k,d}.
+
+    Args:
+        policy: whose gating gives the centres; its parameters are the ones explored.
+        mean_speed: desired mean norm of the velocity noise [velocity unit of the demonstrations].
+        rule: what m_{k,d} is.
+
+            * "moment": sqrt(μ_{k,d}² + Σ_{k,dd}), the root mean square of x_d under the Gaussian; stays sensible where
+              a centre lies near an axis.
+            * "centre": |μ_{k,d}|, Eq. 15 literally, but at least a hundredth of the Gaussian's standard deviation.
+            * "printed": Eq. 16-17 as printed, which divide A_{j,d} by μ_j in place of μ_d (the indices exchanged: in
+              Eq. 14 A_{j,d} multiplies x_d); with the same floor, for as many outputs as inputs.
+        direction: `(O,)` relative size of the noise in each output direction (section 4.4), normalised so that the
+            total variance stays the same; None for isotropic noise.
+        mean_stiffness: desired mean absolute noise of each stiffness row at the centres [N/m]; the same rule for one
+            output dimension. Zero leaves the stiffness alone.
+
+    Raises:
+        InvalidArgumentError: sizes that are negative or not finite, an unknown rule, "printed" with O ≠ D, or a
+            direction that is not O non-negative numbers with a positive one among them.
+    """
+
+    def __init__(
+        self,
+        policy: GMRPolicy,
+        mean_speed: float = 0.1,
+        rule: Rule = "moment",
+        *,
+        direction: Tensor | None = None,
+        mean_stiffness: float = 0.0,
+    ) -> None:
+        for name, value in {"mean_speed": mean_speed, "mean_stiffness": mean_stiffness}.items():
+            if not (math.isfinite(value) and value >= 0):
+                raise InvalidArgumentError(f"{name} has to be finite and ≥ 0, got {value}")
+        if rule not in ("moment", "centre", "printed"):
+            raise InvalidArgumentError(f"rule has to be 'moment', 'centre' or 'printed', got {rule!r}")
+        if rule == "printed" and policy.output_dim != policy.input_dim:
+            raise InvalidArgumentError(
+                f"rule='printed' pairs outputs with inputs; this policy has {policy.output_dim} and {policy.input_dim}"
+            )
+        if direction is not None:
+            fits = direction.shape == (policy.output_dim,) and bool(direction.isfinite().all())
+            if not fits or (direction < 0).any() or not direction.any():
+                raise InvalidArgumentError(
+                    f"direction has to be {policy.output_dim} numbers ≥ 0, one of them positive; got {direction}"
+                )
+        self.policy = policy
+        self.mean_speed = mean_speed
+        self.rule = rule
+        self.direction = direction
+        self.mean_stiffness = mean_stiffness
+
+    def check(self, parameters: Sequence[nn.Parameter]) -> None:
+        """Refuse parameters of another module."""
+        name_parameters(self.policy, parameters, type(self).__name__)
+
+    def std(self) -> dict[str, Tensor]:
+        """The standard deviation of each parameter's noise by name, without batch: `(K, O, D)`, `(K, O)`, ..."""
+        policy = self.policy
+        K, D, O, Q = policy.n_components, policy.input_dim, policy.output_dim, policy.stiffness_dim
+        means, variances = policy.means, policy.covariances.diagonal(dim1=-2, dim2=-1)
+        if self.rule == "moment":
+            size = (means.square() + variances).sqrt()
+        else:
+            size = torch.maximum(means.abs(), 0.01 * variances.sqrt())
+        slope = 1.0 / size  # (K, D)
+        share = math.sqrt(D + 1)
+        # The indices of Eq. 16-17 are exchanged: row j is divided by μ_j.
+        pattern = slope[:, :, None].expand(K, O, D) if self.rule == "printed" else slope[:, None, :].expand(K, O, D)
+        axis = means.new_ones(O)
+        if self.direction is not None:
+            axis = self.direction.to(means)
+            axis = axis * (O / axis.square().sum()).sqrt()
+        speed = axis * (self.mean_speed / chi_mean(O) / share)  # (O,)
+        std = {"A": speed[:, None] * pattern, "b": speed.expand(K, O)}
+        if Q:
+            s = self.mean_stiffness / chi_mean(1) / share
+            std |= {"stiffness_A": s * slope[:, None, :].expand(K, Q, D), "stiffness_b": means.new_full((K, Q), s)}
+        return std
+
+    def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
+        """The noise of each parameter, independent between entries."""
+        std = self.std()
+        names = name_parameters(self.policy, parameters, type(self).__name__)
+        return [z * std[name] for name, z in zip(names, normals, strict=True)]

@@ -1,0 +1,212 @@
+"""Gaussian mixtures over position, velocity and stiffness: fit, density, conditional (Eq. 1-3)."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+import sklearn.mixture
+import torch
+from sklearn.exceptions import ConvergenceWarning
+from torch import Tensor
+
+from torchds.errors import DegenerateMixtureError, InvalidArgumentError
+
+if TYPE_CHECKING:
+    from torchds.demonstrations import Demonstrations
+
+
+class Conditional(NamedTuple):
+    """The mixture p(y | x) that a joint mixture becomes once part of its variables is known (Eq. 1).
+
+    Attributes:
+        priors: `(*batch, *points, K)` the gating h_k(x) of Eq. 2.
+        means: `(*batch, *points, K, O)` A_k x + b_k.
+        covariances: `(*batch, K, O, O)` the Schur complements, independent of x.
+    """
+
+    priors: Tensor
+    means: Tensor
+    covariances: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """E[y | x] `(*batch, *points, O)`: Gaussian mixture regression, Eq. 1."""
+        return (self.priors.unsqueeze(-1) * self.means).sum(-2)
+
+
+class GaussianMixture:
+    """A mixture of K Gaussians over F variables, Σ_k π_k N(y; μ_k, Σ_k).
+
+    Args:
+        priors: `(*batch, K)` π_k, not negative, summing to one.
+        means: `(*batch, K, F)` μ_k.
+        covariances: `(*batch, K, F, F)` Σ_k, symmetric and positive definite.
+
+    Raises:
+        DegenerateMixtureError: shapes that do not fit together, values that are not finite, priors that are no
+            distribution, or a covariance that is not positive definite (the message says which component).
+    """
+
+    def __init__(self, priors: Tensor, means: Tensor, covariances: Tensor) -> None:
+        *batch, K, F = means.shape if means.ndim >= 2 else (0, 0)
+        if priors.shape != (*batch, K) or covariances.shape != (*batch, K, F, F) or K * F == 0:
+            raise DegenerateMixtureError(
+                f"priors {tuple(priors.shape)}, means {tuple(means.shape)} and covariances {tuple(covariances.shape)} "
+                "do not fit together; expected (*batch, K), (*batch, K, F) and (*batch, K, F, F)"
+            )
+        for name, value in {"priors": priors, "means": means, "covariances": covariances}.items():
+            if not value.isfinite().all():
+                raise DegenerateMixtureError(f"{name} contain NaN or infinity; every value has to be finite")
+        if (priors < 0).any() or not torch.allclose(priors.sum(-1), torch.ones_like(priors[..., 0]), atol=1e-4):
+            raise DegenerateMixtureError(f"priors have to be ≥ 0 and sum to 1, got {priors.tolist()}")
+        scale = covariances.diagonal(dim1=-2, dim2=-1).amax(-1)
+        asymmetric = (covariances - covariances.mT).abs().amax((-2, -1)) > 1e-5 * scale
+        factors, info = torch.linalg.cholesky_ex(covariances)
+        if (bad := asymmetric | (info != 0)).any():
+            raise DegenerateMixtureError(
+                f"covariances of component(s) {sorted(set(bad.nonzero()[:, -1].tolist()))} are not symmetric positive "
+                "definite; fit with a larger covariance_floor or add a small multiple of the identity"
+            )
+        self.priors, self.means, self.covariances = priors, means, covariances
+        self._factors = factors
+
+    def __repr__(self) -> str:
+        batch = f", batch_shape={self.batch_shape}" if self.batch_shape else ""
+        return f"{type(self).__name__}(K={self.n_components}, F={self.means.shape[-1]}{batch})"
+
+    @property
+    def n_components(self) -> int:
+        """The number K of Gaussians."""
+        return self.means.shape[-2]
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions of a batch of mixtures, () for one."""
+        return tuple(self.means.shape[:-2])
+
+    def component_log_prob(self, y: Tensor) -> Tensor:
+        """log(π_k N(y; μ_k, Σ_k)), `(*batch, *points, K)` for `y` `(*batch, *points, F)`."""
+        points = (1,) * (y.ndim - 1 - len(self.batch_shape))
+        F, K = y.shape[-1], self.n_components
+        means = self.means.reshape(*self.batch_shape, *points, K, F)
+        factors = self._factors.reshape(*self.batch_shape, *points, K, F, F)
+        z = torch.linalg.solve_triangular(factors, (y.unsqueeze(-2) - means).unsqueeze(-1), upper=False).squeeze(-1)
+        log_det = factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        log_priors = self.priors.log().reshape(*self.batch_shape, *points, K)
+        return log_priors - 0.5 * (z.square().sum(-1) + F * math.log(2 * math.pi)) - log_det
+
+    def log_prob(self, y: Tensor) -> Tensor:
+        """Log p(y), `(*batch, *points)` for `y` `(*batch, *points, F)`."""
+        return self.component_log_prob(y).logsumexp(-1)
+
+    def marginal(self, start: int, stop: int) -> GaussianMixture:
+        """The mixture of variables start..stop-1 alone."""
+        part = slice(start, stop)
+        return GaussianMixture(self.priors, self.means[..., part], self.covariances[..., part, part])
+
+    def experts(self, input_dim: int) -> tuple[Tensor, Tensor]:
+        """The linear experts of Eq. 2: A_k = Σ_yx Σ_x⁻¹ `(*batch, K, O, D)` and b_k = μ_y − A_k μ_x `(*batch, K, O)`.
+
+        Raises:
+            InvalidArgumentError: `input_dim` is not between 1 and F − 1.
+        """
+        D, F = input_dim, self.means.shape[-1]
+        if not 1 <= D < F:
+            raise InvalidArgumentError(f"input_dim has to be between 1 and {F - 1} for {F} variables, got {D}")
+        A = torch.cholesky_solve(self.covariances[..., :D, D:], self._factors[..., :D, :D]).mT
+        b = self.means[..., D:] - (A @ self.means[..., :D, None]).squeeze(-1)
+        return A, b
+
+    def condition(self, x: Tensor) -> Conditional:
+        """The distribution of the other variables once the first D are known, for `x` `(*batch, *points, D)`."""
+        D = x.shape[-1]
+        A, b = self.experts(D)
+        points = (1,) * (x.ndim - 1 - len(self.batch_shape))
+        A_, b_ = (m.reshape(*self.batch_shape, *points, *m.shape[len(self.batch_shape) :]) for m in (A, b))
+        means = (A_ @ x[..., None, :, None]).squeeze(-1) + b_
+        covariances = self.covariances[..., D:, D:] - A @ self.covariances[..., :D, D:]
+        return Conditional(self.marginal(0, D).component_log_prob(x).softmax(-1), means, covariances)
+
+    @classmethod
+    def fit(
+        cls,
+        data: Demonstrations | Tensor,
+        n_components: int | Literal["bic"],
+        *,
+        input_dim: int | None = None,
+        covariance_floor: float = 1e-6,
+        n_init: int = 5,
+        tol: float = 1e-6,
+        max_components: int = 10,
+        seed: int = 0,
+    ) -> GaussianMixture:
+        """Fit by expectation maximisation (scikit-learn, k-means starts, full covariances), in float64.
+
+        Args:
+            data: demonstrations, of which the joint samples [x, v(, stiffness)] are taken, or `(M, F)` samples.
+            n_components: the number K of Gaussians, or "bic" for the number in 1..max_components with the smallest
+                Bayesian information criterion.
+            input_dim: how many of the demonstrated positions enter (Eq. 36 leaves the angle out); None for all.
+            covariance_floor: added to the diagonal of each covariance in every M-step, in the data's units squared.
+            n_init: k-means initialisations, of which the likeliest fit is kept.
+            tol: EM stops when the mean log-likelihood of a sample gains less.
+            max_components: the largest K that "bic" tries.
+            seed: of the initialisations.
+
+        Raises:
+            DegenerateMixtureError: fewer distinct samples than components, values that are not finite, or a fit that
+                stays singular with this floor.
+            InvalidArgumentError: an argument out of its range.
+        """
+        y = joint_samples(data, input_dim)
+        if isinstance(n_components, str) and n_components != "bic":
+            raise InvalidArgumentError(f"n_components has to be a number or 'bic', got {n_components!r}")
+        if isinstance(n_components, int) and n_components < 1:
+            raise InvalidArgumentError(f"n_components has to be at least 1, got {n_components}")
+        if not covariance_floor > 0:
+            raise InvalidArgumentError(f"covariance_floor has to be positive, got {covariance_floor}")
+        if not np.isfinite(y).all():
+            row, column = np.argwhere(~np.isfinite(y))[0]
+            raise DegenerateMixtureError(f"sample {row}, variable {column} is {y[row, column]}; all have to be finite")
+        n_distinct = len(np.unique(y, axis=0))
+        if isinstance(n_components, int) and n_distinct < n_components:
+            raise DegenerateMixtureError(
+                f"{n_components} components need at least {n_components} distinct samples, got {n_distinct} among "
+                f"{len(y)}; record more samples or choose n_components ≤ {n_distinct}"
+            )
+        candidates = range(1, min(max_components, n_distinct) + 1) if n_components == "bic" else [n_components]
+        fits = [_expectation_maximisation(y, K, covariance_floor, n_init, tol, seed) for K in candidates]
+        best = min(fits, key=lambda fit: fit.bic(y)) if len(fits) > 1 else fits[0]
+        return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in (best.weights_, best.means_, best.covariances_)))
+
+
+def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -> np.ndarray:
+    """The joint samples [x, v(, stiffness)] `(M, F)` of demonstrations (Eq. 34), or a tensor of samples as it is."""
+    if isinstance(data, Tensor):
+        if data.ndim != 2 or 0 in data.shape:
+            raise DegenerateMixtureError(f"samples have to be a tensor (M, F), got shape {tuple(data.shape)}")
+        return data.detach().cpu().numpy().astype(np.float64)
+    x, v, stiffness = data.stacked()
+    columns = [x[:, :input_dim], v] + ([stiffness] if stiffness is not None else [])
+    return torch.cat(columns, -1).cpu().numpy().astype(np.float64)
+
+
+def _expectation_maximisation(
+    y: np.ndarray, K: int, covariance_floor: float, n_init: int, tol: float, seed: int
+) -> sklearn.mixture.GaussianMixture:
+    model = sklearn.mixture.GaussianMixture(
+        K, reg_covar=covariance_floor, n_init=n_init, tol=tol, max_iter=1000, random_state=seed
+    )
+    with warnings.catch_warnings():
+        # A slow last digit of the likelihood, or k-means meeting duplicates, leaves a valid mixture.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        try:
+            return model.fit(y)
+        except ValueError as error:
+            raise DegenerateMixtureError(
+                f"no mixture of {K} Gaussians fits these {len(y)} samples with covariance_floor={covariance_floor:g} "
+                f"({error}); raise the floor or take fewer components"
+            ) from error

@@ -1,0 +1,317 @@
+"""The policy: a mixture of linear dynamical systems with a frozen gating (Eq. 1-13, 34, 42-45)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from torchds.errors import InvalidArgumentError
+from torchds.mixture import GaussianMixture
+
+if TYPE_CHECKING:
+    from torchds.demonstrations import Demonstrations
+
+
+class GMRPolicy(nn.Module):
+    r"""A time-invariant dynamical system from Gaussian mixture regression.
+
+    .. math:: [\dot x; s] = \sum_k h_k(x) (A_k x + b_k), \qquad h_k(x) = \frac{π_k N(x; μ_k, Σ_k)}{\sum_i π_i N(x; μ_i, Σ_i)}
+
+    with the velocity rows first and Q stiffness rows after them (Eq. 34). The gating h is frozen: priors, centres and
+    input covariances are buffers. Learnable are `A`, `b` and, for Q > 0, `stiffness_A`, `stiffness_b`. All four may
+    carry leading batch dimensions, the `batch_shape`: one module then holds many policies over one gating.
+
+    Args:
+        priors: `(K,)` π_k.
+        means: `(K, D)` centres μ_k of the inputs.
+        covariances: `(K, D, D)` input covariances Σ_k.
+        A: `(*batch, K, O, D)` slopes of the velocity.
+        b: `(*batch, K, O)` offsets of the velocity.
+        stiffness_A: `(*batch, K, Q, D)` slopes of the stiffness; None for a policy without stiffness.
+        stiffness_b: `(*batch, K, Q)` offsets of the stiffness.
+
+    The values given here are kept in the buffers `initial_A`, ... as the demonstrated policy that the control cost is
+    measured from (Eq. 12-13). Most users call `from_demonstrations` or `from_mixture`.
+
+    Raises:
+        InvalidArgumentError: shapes that do not fit together.
+        DegenerateMixtureError: a gating that is no Gaussian mixture.
+
+    Example:
+        >>> import torch, torchds
+        >>> mixture = torchds.GaussianMixture(torch.ones(1), torch.zeros(1, 4), torch.eye(4)[None])
+        >>> policy = torchds.GMRPolicy.from_mixture(mixture, input_dim=2)
+        >>> policy(torch.tensor([1.0, 2.0]))
+        tensor([0., 0.], grad_fn=<SqueezeBackward1>)
+    """
+
+    A: nn.Parameter
+    b: nn.Parameter
+    stiffness_A: nn.Parameter
+    stiffness_b: nn.Parameter
+    priors: Tensor
+    means: Tensor
+    factors: Tensor
+
+    def __init__(
+        self,
+        priors: Tensor,
+        means: Tensor,
+        covariances: Tensor,
+        A: Tensor,
+        b: Tensor,
+        stiffness_A: Tensor | None = None,
+        stiffness_b: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        gate = GaussianMixture(priors, means, covariances)
+        if gate.batch_shape:
+            raise InvalidArgumentError(f"the gating of a policy is one mixture, got a batch {gate.batch_shape}")
+        K, D = means.shape
+        if stiffness_A is None or stiffness_b is None:
+            stiffness_A, stiffness_b = A.new_zeros(*A.shape[:-2], 0, D), b.new_zeros(*b.shape[:-1], 0)
+        for slopes, offsets in ((A, b), (stiffness_A, stiffness_b)):
+            if slopes.ndim < 3 or slopes.shape[-3::2] != (K, D) or offsets.shape != slopes.shape[:-1]:
+                raise InvalidArgumentError(
+                    f"with {K} components of {D} inputs, slopes have to be (*batch, {K}, O, {D}) and offsets "
+                    f"(*batch, {K}, O); got {tuple(slopes.shape)} and {tuple(offsets.shape)}"
+                )
+        # Σ⁻¹ = WᵀW with W = L⁻¹, so that |W(x − μ)| is the Mahalanobis distance.
+        identity = torch.eye(D, dtype=means.dtype, device=means.device).expand(K, D, D)
+        factors = torch.linalg.solve_triangular(torch.linalg.cholesky(covariances), identity, upper=False)
+        center = means.mean(0)  # distances are taken from here first: float32 keeps its digits far from the origin
+        self.register_buffer("priors", priors.detach().clone())
+        self.register_buffer("means", means.detach().clone())
+        self.register_buffer("factors", factors.detach())
+        self.register_buffer("_center", center.detach())
+        self.register_buffer("_offset", -(factors @ (means - center).unsqueeze(-1)).flatten().detach())
+        log_scale = priors.log() + factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        self.register_buffer("_log_scale", log_scale.detach())
+        named = {"A": A, "b": b, "stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
+        for name, value in named.items():
+            self.register_buffer(f"initial_{name}", value.detach().clone())
+            if value.numel() or not name.startswith("stiffness"):
+                self.register_parameter(name, nn.Parameter(value.detach().clone()))
+            else:
+                self.register_parameter(name, None)
+
+    # ------------------------------------------------------------------ construction
+
+    @classmethod
+    def from_mixture(
+        cls,
+        mixture: GaussianMixture,
+        input_dim: int,
+        stiffness_dim: int = 0,
+        stiffness: float | Tensor | None = None,
+    ) -> GMRPolicy:
+        """Condition a joint mixture over [x, v(, s)] on x (Eq. 1-3, 34).
+
+        Args:
+            mixture: over D + O (+ Q) variables.
+            input_dim: D; the rest are outputs. O may be larger than D (Eq. 36: position in, position and angle rates
+                out).
+            stiffness_dim: Q, the number of stiffness outputs.
+            stiffness: a constant s⁰ [N/m], number or `(Q,)`, for stiffness rows A_s = 0, b_s = s⁰ beside a mixture
+                without stiffness variables; None if the last Q variables of the mixture are the stiffness.
+
+        Raises:
+            InvalidArgumentError: dimensions that the mixture does not have, or a stiffness without stiffness_dim.
+        """
+        K, F_ = mixture.means.shape[-2:]
+        n_outputs = F_ - input_dim - (stiffness_dim if stiffness is None else 0)
+        if stiffness_dim < 0 or n_outputs < 1:
+            raise InvalidArgumentError(
+                f"a mixture of {F_} variables cannot give input_dim={input_dim}, stiffness_dim={stiffness_dim} and at "
+                "least one velocity; pass stiffness=s0 for a constant stiffness that is not part of the mixture"
+            )
+        if stiffness is not None and stiffness_dim == 0:
+            raise InvalidArgumentError(f"stiffness={stiffness} needs stiffness_dim ≥ 1, got 0")
+        A, b = mixture.experts(input_dim)
+        A, stiffness_A = A[..., :n_outputs, :], A[..., n_outputs:, :]
+        b, stiffness_b = b[..., :n_outputs], b[..., n_outputs:]
+        if stiffness is not None:
+            stiffness_A = A.new_zeros(K, stiffness_dim, input_dim)
+            stiffness_b = torch.as_tensor(stiffness, dtype=b.dtype, device=b.device).expand(K, stiffness_dim)
+        gate = mixture.marginal(0, input_dim)
+        return cls(gate.priors, gate.means, gate.covariances, A, b, stiffness_A, stiffness_b)
+
+    @classmethod
+    def from_demonstrations(
+        cls,
+        demonstrations: Demonstrations,
+        n_components: Any = 4,
+        *,
+        input_dim: int | None = None,
+        stiffness: float | Tensor | None = None,
+        stiffness_dim: int = 0,
+        **fit: Any,
+    ) -> GMRPolicy:
+        """Fit a mixture by EM and condition it: lines 2-8 of Algorithm 1.
+
+        Args:
+            demonstrations: with stiffness columns, these become stiffness outputs.
+            n_components: K, or "bic".
+            input_dim: how many of the positions are inputs; None for all.
+            stiffness: a constant s⁰ [N/m] where no stiffness was demonstrated (see `from_mixture`).
+            stiffness_dim: Q for a constant stiffness.
+            **fit: options of `GaussianMixture.fit`.
+        """
+        mixture = GaussianMixture.fit(demonstrations, n_components, input_dim=input_dim, **fit)
+        if stiffness is None and (demonstrated := demonstrations[0].stiffness) is not None:
+            stiffness_dim = demonstrated.shape[-1]
+        return cls.from_mixture(mixture, input_dim or demonstrations.dim, stiffness_dim, stiffness)
+
+    def expand(self, *batch_shape: int) -> GMRPolicy:
+        """A new policy with `batch_shape` independent copies of this one's parameters, e.g. 20 learning runs."""
+        values = {name: p.detach().expand(*batch_shape, *p.shape) for name, p in self.named_parameters()}
+        policy = type(self)(self.priors, self.means, self.covariances, **values)
+        for name in ("A", "b", "stiffness_A", "stiffness_b"):
+            setattr(policy, f"initial_{name}", getattr(self, f"initial_{name}").clone())
+        return policy
+
+    # ------------------------------------------------------------------ shapes
+
+    @property
+    def n_components(self) -> int:
+        """K."""
+        return self.means.shape[0]
+
+    @property
+    def input_dim(self) -> int:
+        """D."""
+        return self.means.shape[1]
+
+    @property
+    def output_dim(self) -> int:
+        """O, the number of velocities."""
+        return self.A.shape[-2]
+
+    @property
+    def stiffness_dim(self) -> int:
+        """Q, the number of stiffness outputs."""
+        return self.initial_stiffness_A.shape[-2]
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions of the parameters, () for one policy."""
+        return tuple(self.A.shape[:-3])
+
+    @property
+    def covariances(self) -> Tensor:
+        """`(K, D, D)` input covariances Σ_k of the gating."""
+        identity = torch.eye(self.input_dim, dtype=self.factors.dtype, device=self.factors.device)
+        L = torch.linalg.solve_triangular(self.factors, identity.expand_as(self.factors), upper=False)
+        return L @ L.mT
+
+    def extra_repr(self) -> str:
+        """Summarise the shapes."""
+        sizes = f"K={self.n_components}, D={self.input_dim}, O={self.output_dim}, Q={self.stiffness_dim}"
+        return f"{sizes}, batch_shape={self.batch_shape}"
+
+    # ------------------------------------------------------------------ evaluation
+
+    def gating(self, x: Tensor) -> Tensor:
+        """h_k(x) of Eq. 2, `(..., K)` for `x` `(..., D)`: sums to one, arbitrarily far from the data too."""
+        z = F.linear(x - self._center, self.factors.flatten(0, 1), self._offset)
+        limit = torch.finfo(z.dtype).max ** 0.5 / (4 * self.input_dim)  # squares stay finite
+        z = z.clamp(-limit, limit).unflatten(-1, (self.n_components, self.input_dim))
+        return torch.softmax(self._log_scale - 0.5 * z.square().sum(-1), -1)
+
+    def features(self, x: Tensor) -> Tensor:
+        """h_k(x) [x, 1], `(..., K (D+1))`: every output is linear in these features (Eq. 8-9)."""
+        return (self.gating(x).unsqueeze(-1) * F.pad(x, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
+
+    def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
+        """The parameters as `(*batch, O+Q, K (D+1))`, row o = [A_1 row o, b_1[o], A_2 row o, ...].
+
+        Args:
+            value: what to arrange in place of each parameter (its noise, its deviation), of the parameter's shape with
+                any batch in front.
+        """
+        parameters = [self.A, self.b] + ([self.stiffness_A, self.stiffness_b] if self.stiffness_dim else [])
+        return self._arrange(*(parameters if value is None else map(value, parameters)))
+
+    @property
+    def initial_rows(self) -> Tensor:
+        """`rows` of the demonstrated policy (Eq. 12-13)."""
+        return self._arrange(self.initial_A, self.initial_b, self.initial_stiffness_A, self.initial_stiffness_b)
+
+    @staticmethod
+    def _arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:
+        experts = torch.cat([A, b.unsqueeze(-1)], -1)  # (*batch, K, O, D+1)
+        if stiffness:
+            experts = torch.cat([experts, torch.cat([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
+        return experts.movedim(-3, -2).flatten(-2)
+
+    def outputs(self, features: Tensor, rows: Tensor) -> Tensor:
+        """[ẋ; s] `(*batch, *points, O+Q)` from `features` `(*batch, *points, F)` and `rows` `(*batch, O+Q, F)`."""
+        n_points = features.ndim - rows.ndim + 1
+        if n_points <= 0:
+            return (rows @ features.unsqueeze(-1)).squeeze(-1)
+        for _ in range(n_points - 1):
+            rows = rows.unsqueeze(-3)
+        return features @ rows.mT
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The velocity ẋ `(*batch, *points, O)` at `x` `(*batch, *points, D)` (Eq. 1)."""
+        return self.outputs(self.features(x), self._arrange(self.A, self.b))
+
+    def stiffness(self, x: Tensor) -> Tensor:
+        """The stiffness s `(*batch, *points, Q)` at `x` `(*batch, *points, D)`, before any clamping (Eq. 34)."""
+        return self.outputs(self.features(x), self.rows())[..., self.output_dim :]
+
+    def basis(self, x: Tensor) -> Tensor:
+        """G of Eq. 8-9 and 42-43, `(..., O+Q, P)`: `basis(x) @ pack()` is [ẋ; s]."""
+        n = self.output_dim + self.stiffness_dim
+        identity = torch.eye(n, dtype=x.dtype, device=x.device)
+        slopes = (identity.unsqueeze(-1) * x[..., None, None, :]).flatten(-2)  # (..., O+Q, (O+Q) D)
+        block = torch.cat([slopes, identity.expand(*slopes.shape[:-1], n)], -1)
+        return (self.gating(x)[..., None, :, None] * block.unsqueeze(-2)).flatten(-2)
+
+    # ------------------------------------------------------------------ the flat parameter vector
+
+    def pack(self) -> Tensor:
+        """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45)."""
+        A, b = self.A, self.b
+        if self.stiffness_dim:
+            A, b = torch.cat([A, self.stiffness_A], -2), torch.cat([b, self.stiffness_b], -1)
+        return torch.cat([A.flatten(-2), b], -1).flatten(-2)
+
+    def split(self, theta: Tensor) -> dict[str, Tensor]:
+        """The parameters that `theta` `(*batch, P)` stands for, by name; differentiable, changes nothing.
+
+        Raises:
+            InvalidArgumentError: `theta` does not have P entries.
+        """
+        K, D, O, Q = self.n_components, self.input_dim, self.output_dim, self.stiffness_dim
+        P = K * (O + Q) * (D + 1)
+        if theta.shape[-1:] != (P,):
+            raise InvalidArgumentError(f"theta has to be (*batch, {P}) for this policy, got {tuple(theta.shape)}")
+        blocks = theta.unflatten(-1, (K, (O + Q) * (D + 1)))
+        A, b = blocks[..., : (O + Q) * D].unflatten(-1, (O + Q, D)), blocks[..., (O + Q) * D :]
+        named = {"A": A[..., :O, :], "b": b[..., :O]}
+        return named | ({"stiffness_A": A[..., O:, :], "stiffness_b": b[..., O:]} if Q else {})
+
+    def unpack(self, theta: Tensor) -> GMRPolicy:
+        """Write `theta` `(*batch, P)` into the parameters, taking over its batch, and return this policy.
+
+        The parameters stay the same objects, so an optimizer that holds them sees the new values.
+
+        Raises:
+            InvalidArgumentError: `theta` does not have P entries.
+        """
+        for name, value in self.split(theta.detach()).items():
+            parameter = self.get_parameter(name)
+            parameter.data = value.to(parameter).clone()
+        return self
+
+
+def chi_mean(dim: int) -> float:
+    """E|z| of a standard normal vector: √(π/2) in 2-D (Rayleigh), 2√(2/π) in 3-D (Maxwell-Boltzmann)."""
+    return math.sqrt(2) * math.exp(math.lgamma((dim + 1) / 2) - math.lgamma(dim / 2))

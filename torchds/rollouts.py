@@ -1,0 +1,132 @@
+"""Roll-outs: Eq. 4 over any batch of policies and any number of starts, one tensor call a time step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchds import visits
+from torchds.errors import InvalidArgumentError
+from torchds.policy import GMRPolicy
+
+StopCondition = Callable[[Tensor, Tensor], Tensor]
+"""(x, x_next), each `(*batch, *points, D)` -> bool `(*batch, *points)`: True where the step must not be taken."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What happened along a roll-out.
+
+    Attributes:
+        x: `(*batch, *points, T+1, D)` states, the start first.
+        v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests.
+        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T states.
+        resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
+        dt: time step [s].
+    """
+
+    x: Tensor
+    v: Tensor
+    features: Tensor
+    resting: Tensor | None
+    dt: float
+
+    @property
+    def gating(self) -> Tensor:
+        """h_k `(*batch, *points, T, K)` at the first T states."""
+        return self.features[..., self.x.shape[-1] :: self.x.shape[-1] + 1]
+
+    @property
+    def stopped(self) -> Tensor:
+        """`(*batch, *points)` True for the roll-outs that came to rest before the end."""
+        if self.resting is None:
+            return torch.zeros(self.x.shape[:-2], dtype=torch.bool, device=self.x.device)
+        return self.resting[..., -1]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The stop condition of a box: a step that would leave [low, high], or is not finite, is not taken.
+
+    Args:
+        low: number or `(D,)`.
+        high: number or `(D,)`.
+    """
+
+    low: float | Tensor
+    high: float | Tensor
+
+    def __call__(self, x: Tensor, x_next: Tensor) -> Tensor:
+        """True where `x_next` is outside."""
+        return ~((x_next >= self.low) & (x_next <= self.high)).all(-1)
+
+
+def rollout(
+    policy: GMRPolicy,
+    x0: Tensor,
+    n_steps: int,
+    dt: float,
+    *,
+    starts: Literal["shared", "per_policy"] = "shared",
+    stop: StopCondition | None = None,
+) -> Rollout:
+    """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
+
+    Args:
+        policy: with any batch_shape.
+        x0: `(*points, D)` starts that every policy of the batch sets out from; or, with starts="per_policy",
+            `(*batch_shape, *points, D)` starts of each policy's own.
+        n_steps: T.
+        dt: time step [s].
+        starts: how the leading dimensions of `x0` are read.
+        stop: a roll-out rests for good where this is True; see `Bounds`.
+
+    Returns:
+        A `Rollout`; differentiable with respect to the parameters and `x0`. States may diverge to infinity or NaN:
+        that is data for the cost, not an error.
+
+    Raises:
+        InvalidArgumentError: wrong dimension or leading shape of `x0`, n_steps < 1, dt ≤ 0, or a policy with fewer
+            velocities than inputs.
+    """
+    D, batch = policy.input_dim, policy.batch_shape
+    if x0.shape[-1:] != (D,):
+        raise InvalidArgumentError(f"x0 has to end with the policy's {D} inputs, got shape {tuple(x0.shape)}")
+    if starts == "per_policy" and tuple(x0.shape[: len(batch)]) != batch:
+        raise InvalidArgumentError(
+            f"x0 {tuple(x0.shape)} has to begin with batch_shape {batch} for starts='per_policy'"
+        )
+    if policy.output_dim < D:
+        raise InvalidArgumentError(f"{policy.output_dim} velocities cannot move {D} inputs")
+    if n_steps < 1 or not dt > 0:
+        raise InvalidArgumentError(f"n_steps ≥ 1 and dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
+    x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
+    rows = policy.rows()
+    resting = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
+    states, velocities, features, rests = [x], [], [], []
+    for _ in range(n_steps):
+        g = policy.features(x)
+        v = policy.outputs(g, rows)[..., : policy.output_dim]
+        x_next = torch.add(x, v[..., :D], alpha=dt)
+        if stop is not None:
+            resting = resting | stop(x, x_next)
+            rests.append(resting)
+            keep = resting.unsqueeze(-1)
+            x_next, v = torch.where(keep, x, x_next), v.masked_fill(keep, 0.0)
+        x = x_next
+        states.append(x)
+        velocities.append(v)
+        features.append(g)
+    path = Rollout(
+        x=torch.stack(states, -2),
+        v=torch.stack(velocities, -2),
+        features=torch.stack(features, -2),
+        resting=torch.stack(rests, -1) if rests else None,
+        dt=dt,
+    )
+    visits.report(policy, path.features)
+    return path

@@ -1,0 +1,54 @@
+"""What roll-outs tell an optimizer that listens: which features of which policy they visited.
+
+The control cost of Algorithm 1 needs the features along every roll-out, a closure returns only costs. So roll-outs
+report their features here, and an optimizer listens while its closure runs. A foreign simulator reports with one call:
+`torchds.visits.report(policy, policy.features(x))`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import NamedTuple, Protocol
+
+from torch import Tensor, nn
+
+
+class LinearPolicy(Protocol):
+    """A policy whose outputs are linear in features: rows `(*batch, O, F)` times features `(..., F)`."""
+
+    @property
+    def initial_rows(self) -> Tensor:
+        """The rows that deviations are measured from."""
+
+    def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
+        """Arrange a quantity given per parameter as rows."""
+
+
+class Visit(NamedTuple):
+    """One roll-out's report: the policy, and the features `(*batch, *points, T, F)` that it saw."""
+
+    policy: LinearPolicy
+    features: Tensor
+
+
+_listener: ContextVar[list[Visit] | None] = ContextVar("torchds_visits", default=None)
+
+
+@contextmanager
+def listen() -> Iterator[list[Visit]]:
+    """Collect the visits that are reported inside the block; an inner block hides them from an outer one."""
+    visits: list[Visit] = []
+    token = _listener.set(visits)
+    try:
+        yield visits
+    finally:
+        _listener.reset(token)
+
+
+def report(policy: LinearPolicy, features: Tensor) -> None:
+    """Tell whoever listens that `policy` visited `features` `(*batch, *points, T, F)`."""
+    visits = _listener.get()
+    if visits is not None:
+        visits.append(Visit(policy, features))
