@@ -36,13 +36,13 @@ from torchds import optim as optim
 from torchds import visits as visits
 from torchds.demonstrations import Demonstration as Demonstration
 from torchds.demonstrations import Demonstrations as Demonstrations
-from torchds.demonstrations import load_csv as load_csv
-from torchds.demonstrations import load_lasa as load_lasa
-from torchds.demonstrations import load_mat as load_mat
-from torchds.demonstrations import load_npz as load_npz
 from torchds.mixture import Conditional as Conditional
 from torchds.mixture import GaussianMixture as GaussianMixture
 from torchds.policy import GMRPolicy as GMRPolicy
+from torchds.recordings import load_csv as load_csv
+from torchds.recordings import load_lasa as load_lasa
+from torchds.recordings import load_mat as load_mat
+from torchds.recordings import load_npz as load_npz
 from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
+import zipfile
+from os import PathLike
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +18,11 @@ from torchds.errors import DegenerateMixtureError, InvalidArgumentError
 
 if TYPE_CHECKING:
     from torchds.demonstrations import Demonstrations
+
+
+# Names under which mixtures are found in files; the Greek letters' names are common in MATLAB exports.
+_ALIASES = {"mu": "means", "sigma": "covariances"}
+_ARRAYS = {prefix + name for prefix in ("", "gmm_") for name in ("priors", "means", "covariances", "mu", "sigma")}
 
 
 class Conditional(NamedTuple):
@@ -130,6 +137,33 @@ class GaussianMixture:
         covariances = self.covariances[..., D:, D:] - A @ self.covariances[..., :D, D:]
         return Conditional(self.marginal(0, D).component_log_prob(x).softmax(-1), means, covariances)
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write `priors`, `means` and `covariances` into an .npz file."""
+        arrays = {name: getattr(self, name).detach().cpu().numpy() for name in ("priors", "means", "covariances")}
+        np.savez(path, **arrays)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> GaussianMixture:
+        """Read a mixture from an .npz file with `priors`, `means` and `covariances`.
+
+        Raises:
+            DegenerateMixtureError: no such file, another kind of file, missing arrays, or arrays that are no mixture.
+        """
+        try:
+            with np.load(path) as file:
+                found = {
+                    name.removeprefix("gmm_"): np.asarray(file[name], dtype=np.float64) for name in _ARRAYS & set(file)
+                }
+        except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+            raise DegenerateMixtureError(f"{path} is no .npz file of a mixture: {error}") from error
+        found = {_ALIASES.get(name, name): value for name, value in found.items()}
+        if missing := {"priors", "means", "covariances"} - set(found):
+            raise DegenerateMixtureError(
+                f"{path} has no {', '.join(sorted(missing))}; a mixture file holds priors (K,), means (K, F) and "
+                "covariances (K, F, F)"
+            )
+        return cls(*(torch.from_numpy(found[name]) for name in ("priors", "means", "covariances")))
+
     @classmethod
     def fit(
         cls,
@@ -148,7 +182,7 @@ class GaussianMixture:
         Args:
             data: demonstrations, of which the joint samples [x, v(, stiffness)] are taken, or `(M, F)` samples.
             n_components: the number K of Gaussians, or "bic" for the number in 1..max_components with the smallest
-                Bayesian information criterion.
+                Bayesian information criterion among those that fit.
             input_dim: how many of the demonstrated positions enter (Eq. 36 leaves the angle out); None for all.
             covariance_floor: added to the diagonal of each covariance in every M-step, in the data's units squared.
             n_init: k-means initialisations, of which the likeliest fit is kept.
@@ -157,8 +191,8 @@ class GaussianMixture:
             seed: of the initialisations.
 
         Raises:
-            DegenerateMixtureError: fewer distinct samples than components, values that are not finite, or a fit that
-                stays singular with this floor.
+            DegenerateMixtureError: fewer than two samples, fewer distinct samples than components, values that are not
+                finite, or a fit that stays singular with this floor.
             InvalidArgumentError: an argument out of its range.
         """
         y = joint_samples(data, input_dim)
@@ -166,11 +200,17 @@ class GaussianMixture:
             raise InvalidArgumentError(f"n_components has to be a number or 'bic', got {n_components!r}")
         if isinstance(n_components, int) and n_components < 1:
             raise InvalidArgumentError(f"n_components has to be at least 1, got {n_components}")
+        if max_components < 1:
+            raise InvalidArgumentError(f"max_components has to be at least 1, got {max_components}")
         if not covariance_floor > 0:
             raise InvalidArgumentError(f"covariance_floor has to be positive, got {covariance_floor}")
-        if not np.isfinite(y).all():
-            row, column = np.argwhere(~np.isfinite(y))[0]
-            raise DegenerateMixtureError(f"sample {row}, variable {column} is {y[row, column]}; all have to be finite")
+        if len(y) < 2:
+            raise DegenerateMixtureError(f"a mixture needs at least 2 samples, got {len(y)}; record more samples")
+        if len(bad := np.argwhere(~(np.abs(y) < 1e150))):  # their squares enter
+            row, column = bad[0]
+            raise DegenerateMixtureError(
+                f"sample {row}, variable {column} is {y[row, column]}; all have to be finite and below 1e150"
+            )
         n_distinct = len(np.unique(y, axis=0))
         if isinstance(n_components, int) and n_distinct < n_components:
             raise DegenerateMixtureError(
@@ -178,7 +218,13 @@ class GaussianMixture:
                 f"{len(y)}; record more samples or choose n_components ≤ {n_distinct}"
             )
         candidates = range(1, min(max_components, n_distinct) + 1) if n_components == "bic" else [n_components]
-        fits = [_expectation_maximisation(y, K, covariance_floor, n_init, tol, seed) for K in candidates]
+        fits: list[sklearn.mixture.GaussianMixture] = []
+        for K in candidates:
+            try:
+                fits.append(_expectation_maximisation(y, K, covariance_floor, n_init, tol, seed))
+            except DegenerateMixtureError:
+                if K == candidates[-1] and not fits:
+                    raise
         best = min(fits, key=lambda fit: fit.bic(y)) if len(fits) > 1 else fits[0]
         return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in (best.weights_, best.means_, best.covariances_)))
 
@@ -190,6 +236,8 @@ def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -
             raise DegenerateMixtureError(f"samples have to be a tensor (M, F), got shape {tuple(data.shape)}")
         return data.detach().cpu().numpy().astype(np.float64)
     x, v, stiffness = data.stacked()
+    if input_dim is not None and not 1 <= input_dim <= x.shape[-1]:
+        raise InvalidArgumentError(f"input_dim has to be between 1 and the {x.shape[-1]} positions, got {input_dim}")
     columns = [x[:, :input_dim], v] + ([stiffness] if stiffness is not None else [])
     return torch.cat(columns, -1).cpu().numpy().astype(np.float64)
 

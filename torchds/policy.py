@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,13 @@ class GMRPolicy(nn.Module):
     priors: Tensor
     means: Tensor
     factors: Tensor
+    initial_A: Tensor
+    initial_b: Tensor
+    initial_stiffness_A: Tensor
+    initial_stiffness_b: Tensor
+    _center: Tensor
+    _offset: Tensor
+    _log_scale: Tensor
 
     def __init__(
         self,
@@ -73,6 +81,8 @@ class GMRPolicy(nn.Module):
         if gate.batch_shape:
             raise InvalidArgumentError(f"the gating of a policy is one mixture, got a batch {gate.batch_shape}")
         K, D = means.shape
+        if (stiffness_A is None) != (stiffness_b is None):
+            raise InvalidArgumentError("stiffness_A and stiffness_b come together; got only one of them")
         if stiffness_A is None or stiffness_b is None:
             stiffness_A, stiffness_b = A.new_zeros(*A.shape[:-2], 0, D), b.new_zeros(*b.shape[:-1], 0)
         for slopes, offsets in ((A, b), (stiffness_A, stiffness_b)):
@@ -132,6 +142,11 @@ class GMRPolicy(nn.Module):
             )
         if stiffness is not None and stiffness_dim == 0:
             raise InvalidArgumentError(f"stiffness={stiffness} needs stiffness_dim ≥ 1, got 0")
+        if isinstance(stiffness, Tensor) and stiffness.shape not in ((), (stiffness_dim,)):
+            raise InvalidArgumentError(
+                f"stiffness has to be a number or ({stiffness_dim},) for stiffness_dim={stiffness_dim}, got shape "
+                f"{tuple(stiffness.shape)}"
+            )
         A, b = mixture.experts(input_dim)
         A, stiffness_A = A[..., :n_outputs, :], A[..., n_outputs:, :]
         b, stiffness_b = b[..., :n_outputs], b[..., n_outputs:]
@@ -161,18 +176,37 @@ class GMRPolicy(nn.Module):
             stiffness: a constant s⁰ [N/m] where no stiffness was demonstrated (see `from_mixture`).
             stiffness_dim: Q for a constant stiffness.
             **fit: options of `GaussianMixture.fit`.
+
+        Raises:
+            InvalidArgumentError: a constant stiffness beside a demonstrated one, or a stiffness_dim without either.
+            DegenerateMixtureError: see `GaussianMixture.fit`.
         """
+        demonstrated = demonstrations[0].stiffness
+        if demonstrated is not None and stiffness is not None:
+            raise InvalidArgumentError(f"these demonstrations carry stiffness; leave out stiffness={stiffness}")
+        if demonstrated is None and stiffness is None and stiffness_dim:
+            raise InvalidArgumentError(
+                f"these demonstrations carry no stiffness; stiffness_dim={stiffness_dim} needs stiffness=s0 too"
+            )
         mixture = GaussianMixture.fit(demonstrations, n_components, input_dim=input_dim, **fit)
-        if stiffness is None and (demonstrated := demonstrations[0].stiffness) is not None:
+        if demonstrated is not None:
             stiffness_dim = demonstrated.shape[-1]
         return cls.from_mixture(mixture, input_dim or demonstrations.dim, stiffness_dim, stiffness)
 
     def expand(self, *batch_shape: int) -> GMRPolicy:
         """A new policy with `batch_shape` independent copies of this one's parameters, e.g. 20 learning runs."""
-        values = {name: p.detach().expand(*batch_shape, *p.shape) for name, p in self.named_parameters()}
-        policy = type(self)(self.priors, self.means, self.covariances, **values)
-        for name in ("A", "b", "stiffness_A", "stiffness_b"):
-            setattr(policy, f"initial_{name}", getattr(self, f"initial_{name}").clone())
+        return self._with({name: p.expand(*batch_shape, *p.shape) for name, p in self.named_parameters()})
+
+    def __getitem__(self, index: int | slice | Tensor) -> GMRPolicy:
+        """A new policy with the selected part of the batch."""
+        if not self.batch_shape:
+            raise InvalidArgumentError("this policy has no batch to index; make one with expand(n)")
+        return self._with({name: p[index] for name, p in self.named_parameters()})
+
+    def _with(self, values: dict[str, Tensor]) -> GMRPolicy:
+        policy = copy.deepcopy(self)
+        for name, value in values.items():
+            policy.get_parameter(name).data = value.detach().clone()
         return policy
 
     # ------------------------------------------------------------------ shapes
@@ -278,10 +312,9 @@ class GMRPolicy(nn.Module):
 
     def pack(self) -> Tensor:
         """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45)."""
-        A, b = self.A, self.b
-        if self.stiffness_dim:
-            A, b = torch.cat([A, self.stiffness_A], -2), torch.cat([b, self.stiffness_b], -1)
-        return torch.cat([A.flatten(-2), b], -1).flatten(-2)
+        slopes = [self.A] + ([self.stiffness_A] if self.stiffness_dim else [])
+        offsets = [self.b] + ([self.stiffness_b] if self.stiffness_dim else [])
+        return torch.cat([torch.cat(slopes, -2).flatten(-2), torch.cat(offsets, -1)], -1).flatten(-2)
 
     def split(self, theta: Tensor) -> dict[str, Tensor]:
         """The parameters that `theta` `(*batch, P)` stands for, by name; differentiable, changes nothing.
@@ -308,6 +341,8 @@ class GMRPolicy(nn.Module):
         """
         for name, value in self.split(theta.detach()).items():
             parameter = self.get_parameter(name)
+            if parameter.shape != value.shape:
+                parameter.grad = None  # of another batch; autograd could not add to it
             parameter.data = value.to(parameter).clone()
         return self
 

@@ -96,14 +96,16 @@ def rollout(
     D, batch = policy.input_dim, policy.batch_shape
     if x0.shape[-1:] != (D,):
         raise InvalidArgumentError(f"x0 has to end with the policy's {D} inputs, got shape {tuple(x0.shape)}")
+    if starts not in ("shared", "per_policy"):
+        raise InvalidArgumentError(f"starts has to be 'shared' or 'per_policy', got {starts!r}")
     if starts == "per_policy" and tuple(x0.shape[: len(batch)]) != batch:
         raise InvalidArgumentError(
             f"x0 {tuple(x0.shape)} has to begin with batch_shape {batch} for starts='per_policy'"
         )
     if policy.output_dim < D:
         raise InvalidArgumentError(f"{policy.output_dim} velocities cannot move {D} inputs")
-    if n_steps < 1 or not dt > 0:
-        raise InvalidArgumentError(f"n_steps ≥ 1 and dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
+    if n_steps < 1 or not 0 < dt < float("inf"):
+        raise InvalidArgumentError(f"n_steps ≥ 1 and a finite dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
     x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
     rows = policy.rows()
     resting = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -100,13 +100,12 @@ class PolicySearch(torch.optim.Optimizer):
             self._check_option(name, value)
         super().add_param_group(param_group)
         parameters = self.param_groups[-1]["params"]
-        if len({(p.dtype, p.device) for p in parameters}) > 1:
-            kinds = sorted({f"{p.dtype} on {p.device}" for p in parameters})
-            self.param_groups.pop()
-            raise InvalidArgumentError(f"the parameters of a group need one dtype and device, got {kinds}")
         try:
+            kinds = sorted({f"{p.dtype} on {p.device}" for p in parameters})
+            if len(kinds) > 1:
+                raise InvalidArgumentError(f"the parameters of a group need one dtype and device, got {kinds}")
             exploration.check(parameters)
-        except InvalidArgumentError:
+        except Exception:
             self.param_groups.pop()
             raise
         self.explorations.append(exploration)
@@ -144,6 +143,11 @@ class PolicySearch(torch.optim.Optimizer):
         super().__setstate__(state)
 
     # ------------------------------------------------------------------ the two halves of a step
+
+    if TYPE_CHECKING:  # torch's own signature knows closures of floats only
+
+        def step(self, closure: Closure | _Told | None = None) -> Tensor:  # type: ignore[override]
+            """One update; every search has its own, since torch wraps it once per class for hooks."""
 
     @abstractmethod
     def _update(self, group: dict[str, Any], noise: list[Tensor], cost: Tensor) -> Tensor:
@@ -183,19 +187,23 @@ class PolicySearch(torch.optim.Optimizer):
             InvalidArgumentError: nothing was asked, or costs of the wrong shape.
             AllRolloutsFailedError: no cost is finite.
         """
-        if "noise" not in self.state[self.param_groups[0]["params"][0]]:
+        if not self._asked:
             raise InvalidArgumentError("tell(costs) finishes what ask() began; call ask() first")
-        return self.step(_Told(costs, visits))  # type: ignore[arg-type, return-value]
+        return self.step(_Told(costs, visits))
 
     def _step(self, closure: Closure | _Told | None) -> Tensor:
         """One update; the body of every subclass's `step`."""
         if closure is None:
             raise InvalidArgumentError("step needs a closure that returns the cost of the roll-outs")
-        first = self.param_groups[0]["params"][0]
-        if "noise" not in self.state[first]:
+        asked = self._asked
+        if not asked:
             self._draw(None)
-        costs, control = self._evaluate(closure)
-        cost = costs + control
+        try:
+            cost, control = self._evaluate(closure)
+        except BaseException:
+            if not asked:  # what ask() gave out stays valid, so that tell() can be tried again
+                self._forget()
+            raise
         failed = ~cost.isfinite()
         if failed.all():
             self._forget()
@@ -210,12 +218,18 @@ class PolicySearch(torch.optim.Optimizer):
         self.last = Update(cost, control, weights[0], failed)
         return torch.where(failed, 0.0, cost).sum(0) / (~failed).sum(0)
 
+    @property
+    def _asked(self) -> bool:
+        """Whether noise is waiting for its costs."""
+        return all("noise" in self.state[p] for group in self.param_groups for p in group["params"])
+
     def _forget(self) -> None:
         for group in self.param_groups:
             for p in group["params"]:
-                del self.state[p]["noise"]
+                self.state[p].pop("noise", None)
 
     def _draw(self, normals: Sequence[Sequence[Tensor]] | None) -> None:
+        drawn = []
         for i, (group, exploration) in enumerate(zip(self.param_groups, self.explorations, strict=True)):
             shapes = [(self.n_rollouts, *p.shape) for p in group["params"]]
             if normals is None:
@@ -228,23 +242,22 @@ class PolicySearch(torch.optim.Optimizer):
                 unit = list(normals[i]) if i < len(normals) else []
                 if [tuple(z.shape) for z in unit] != shapes:
                     raise InvalidArgumentError(
-                        f"group {i} needs normals of shapes {shapes}, got {[z.shape for z in unit]}"
+                        f"group {i} needs normals of shapes {shapes}, got {[tuple(z.shape) for z in unit]}"
                     )
             noise = exploration(group["params"], [group["lr"] * z for z in unit])
-            for p, epsilon in zip(group["params"], noise, strict=True):
-                self.state[p]["noise"] = epsilon
+            drawn += list(zip(group["params"], noise, strict=True))
+        for p, epsilon in drawn:
+            self.state[p]["noise"] = epsilon
 
     # ------------------------------------------------------------------ evaluation
 
     def _evaluate(self, closure: Closure | _Told) -> tuple[Tensor, Tensor]:
-        """Costs and control costs, each `(N, *batch)`; the parameters are restored whatever the closure does."""
+        """Costs with control costs, and these alone, `(N, *batch)`; parameters are restored whatever the closure does."""
         parameters = [p for group in self.param_groups for p in group["params"]]
         center = {p: p.data for p in parameters}
         noise: dict[nn.Parameter, Tensor] = {p: self.state[p]["noise"] for p in parameters}
         if isinstance(closure, _Told):
-            costs = closure.costs
-            self._check_costs(costs, (self.n_rollouts,), list(center.values()))
-            return costs, self._control(closure.visits, center, noise, costs)
+            return self._add_control(closure.costs, closure.visits, center, noise, (self.n_rollouts,))
         try:
             if self.batched:
                 return self._try(closure, center, noise, (self.n_rollouts,))
@@ -267,9 +280,22 @@ class PolicySearch(torch.optim.Optimizer):
         for p, value in center.items():
             p.data = value + noise[p]
         with torch.no_grad(), listen() as visits:
-            costs = torch.as_tensor(closure())
+            costs = closure()
+        return self._add_control(costs, visits, center, noise, lead)
+
+    def _add_control(
+        self,
+        costs: Any,
+        visits: Sequence[Visit],
+        center: dict[nn.Parameter, Tensor],
+        noise: dict[nn.Parameter, Tensor],
+        lead: tuple[int, ...],
+    ) -> tuple[Tensor, Tensor]:
+        if not isinstance(costs, Tensor):  # plain numbers take the parameters' precision
+            costs = torch.as_tensor(costs, dtype=next(iter(center.values())).dtype)
         self._check_costs(costs, lead, list(center.values()))
-        return costs, self._control(visits, center, noise, costs)
+        control = self._control(visits, center, noise, costs)
+        return costs + control, control
 
     def _check_costs(self, costs: Tensor, lead: tuple[int, ...], parameters: list[Tensor]) -> None:
         batch = tuple(costs.shape[len(lead) :])
@@ -292,25 +318,30 @@ class PolicySearch(torch.optim.Optimizer):
         weight = {p: group["control_weight"] for group in self.param_groups for p in group["params"]}
         if not any(weight.values()):
             return torch.zeros_like(costs)
-        if not visits:
-            raise InvalidArgumentError(
-                "control_weight > 0 needs to know which features the roll-outs visited: use torchds.rollout in the closure, "
-                "or call torchds.visits.report(policy, policy.features(x)) there, or set control_weight=0"
-            )
+
+        def value_of(table: Mapping[nn.Parameter, Any], p: nn.Parameter, default: Tensor) -> Tensor:
+            return torch.as_tensor(table.get(p, default), dtype=p.dtype, device=p.device)
+
+        counted = False
         total = torch.zeros_like(costs)
         for policy, features in visits:
-
-            def value_of(table: Mapping[nn.Parameter, Any], p: nn.Parameter, default: Tensor) -> Tensor:
-                return torch.as_tensor(table.get(p, default), dtype=p.dtype, device=p.device)
-
+            r = policy.rows(lambda p: value_of(weight, p, torch.zeros(())).expand_as(center.get(p, p)))
+            if not r.any():  # not one of the optimised policies, for example a reference
+                continue
+            counted = True
             deviation = policy.rows(lambda p: value_of(center, p, p.data))
             if self.control_reference == "demonstrated":
                 deviation = deviation - policy.initial_rows
             epsilon = policy.rows(lambda p: value_of(noise, p, torch.zeros_like(p)))
-            r = policy.rows(lambda p: value_of(weight, p, torch.zeros(())).expand_as(center.get(p, p)))
             n_points = features.ndim - costs.ndim - 2
             for _ in range(n_points):
                 deviation, epsilon, r = (m.unsqueeze(-3) for m in (deviation, epsilon, r))
             upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r)
             total = total + 0.5 * upsilon.flatten(costs.ndim).sum(-1)
+        if not counted:
+            raise InvalidArgumentError(
+                "control_weight > 0 needs to know which features the roll-outs of the optimised policy visited: use "
+                "torchds.rollout in the closure, or call torchds.visits.report(policy, policy.features(x)) there, or give "
+                "visits to tell(), or set control_weight=0"
+            )
         return total

@@ -36,14 +36,12 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
     valid = costs.isfinite()
     low = torch.where(valid, costs, torch.inf).amin(0)
     above = torch.where(valid, costs - low, torch.inf)  # S − min S
-    if temperature == "range":
-        spread = torch.where(valid, above, 0.0).amax(0)
-    else:
+    spread = torch.where(valid, above, 0.0).amax(0)
+    if temperature != "range":
         median = torch.where(valid, above, torch.nan).nanquantile(0.5, dim=0)
-        if temperature == "capped":
-            above = torch.where(valid, torch.minimum(above, 3 * median), torch.inf)
-            spread = torch.where(valid, above, 0.0).amax(0)
-        else:
-            spread = median
-    exponent = torch.where(above > 0, -eliteness * above / spread, 0.0)
+        spread = median if temperature == "median" else torch.minimum(spread, 3 * median)
+    ratio = above / spread
+    if temperature == "capped":
+        ratio = ratio.clamp(max=1.0)
+    exponent = torch.where(above > 0, -eliteness * ratio, 0.0)
     return torch.nan_to_num(torch.softmax(torch.where(valid, exponent, -torch.inf), 0), nan=0.0)

@@ -1,0 +1,32 @@
+"""Tasks: what to learn, behind one small interface, found by name."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from tasks.base import Scene as Scene
+from tasks.base import SearchSettings as SearchSettings
+from tasks.base import Task as Task
+from tasks.via_point import ViaPoint as ViaPoint
+from torchds.errors import InvalidArgumentError, UnknownNameError
+
+TASKS: dict[str, type[Task]] = {"via_point": ViaPoint}
+
+
+def make(name: str, **options: Any) -> Task:
+    """Build the task `name` with its own options.
+
+    Raises:
+        UnknownNameError: no task of this name; the message lists them.
+        InvalidArgumentError: an option that the task does not have, or a value that it does not allow.
+    """
+    if name not in TASKS:
+        raise UnknownNameError("task", name, TASKS)
+    allowed = inspect.signature(TASKS[name]).parameters
+    if strangers := sorted(set(options) - set(allowed)):
+        raise InvalidArgumentError(f"task {name!r} has no option {', '.join(strangers)}; it has {', '.join(allowed)}")
+    return TASKS[name](**options)
+
+
+__all__ = ["TASKS", "Scene", "SearchSettings", "Task", "ViaPoint", "make"]

@@ -1,0 +1,145 @@
+"""The interface of a task."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
+from torchds.errors import InvalidArgumentError
+from torchds.recordings import load
+
+Convention = Literal["paper", "released"]
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """What a task proposes to whoever searches: the paper's numbers, as defaults.
+
+    Attributes:
+        n_updates: policy updates.
+        n_rollouts: N, roll-outs per update.
+        control_weight: r of the control cost r I.
+        mean_speed: of the homogeneous exploration [velocity unit of the task].
+    """
+
+    n_updates: int
+    n_rollouts: int
+    control_weight: float
+    mean_speed: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What there is to see in a task, for figures.
+
+    Attributes:
+        starts: `(S, D)`.
+        goal: `(D,)`.
+        via_points: sets of `(L, D)` points by name.
+        unit: of positions.
+    """
+
+    starts: Tensor
+    goal: Tensor
+    via_points: dict[str, Tensor] = field(default_factory=dict)
+    unit: str = ""
+
+
+class Task(ABC):
+    """A motion to learn: demonstrations, a way to try a policy, and what the trial costs.
+
+    Args:
+        demonstrations: in place of the task's own, as an object or a path that `torchds.demonstrations.load` reads.
+        mixture: in place of one fitted to the demonstrations, as an object or a path of an .npz file.
+        convention: "paper" as printed, or "released" for the problem as the authors' program runs it, where a task
+            has it.
+
+    Class attributes:
+        name: in the registry and in `logs/`.
+        conventions: the ones that the task has.
+    """
+
+    name: str
+    conventions: tuple[Convention, ...] = ("paper",)
+    search: SearchSettings
+
+    def __init__(
+        self,
+        *,
+        demonstrations: Demonstrations | str | Path | None = None,
+        mixture: GaussianMixture | str | Path | None = None,
+        convention: Convention = "paper",
+    ) -> None:
+        if convention not in self.conventions:
+            raise InvalidArgumentError(
+                f"task {self.name!r} has the convention {' or '.join(map(repr, self.conventions))}, got {convention!r}"
+            )
+        self.convention = convention
+        self._demonstrations = load(demonstrations) if isinstance(demonstrations, (str, Path)) else demonstrations
+        self._mixture = GaussianMixture.load(mixture) if isinstance(mixture, (str, Path)) else mixture
+
+    # ------------------------------------------------------------------ what a task says
+
+    @abstractmethod
+    def default_demonstrations(self) -> Demonstrations:
+        """The task's own demonstrations."""
+
+    @abstractmethod
+    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
+        """The mixture that the policy is made of."""
+
+    @abstractmethod
+    def policy(self) -> GMRPolicy:
+        """A new policy as learned from the demonstrations."""
+
+    @abstractmethod
+    def rollout(self, policy: GMRPolicy) -> Rollout:
+        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
+
+    @abstractmethod
+    def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
+        """The named cost terms of a trial, each `(*batch)`; their sum is the cost."""
+
+    @abstractmethod
+    def scene(self) -> Scene:
+        """What a figure of the task shows."""
+
+    # ------------------------------------------------------------------ what follows from it
+
+    @cached_property
+    def demonstrations(self) -> Demonstrations:
+        """The demonstrations in use."""
+        return self._demonstrations if self._demonstrations is not None else self.default_demonstrations()
+
+    @cached_property
+    def mixture(self) -> GaussianMixture:
+        """The mixture in use."""
+        return self._mixture if self._mixture is not None else self.fit(self.demonstrations)
+
+    def cost(self, path: Rollout) -> Tensor:
+        """The cost of a trial `(*batch)`, without the control cost, which an optimizer adds."""
+        return total(self.cost_terms(path).values())
+
+    def evaluate(self, policy: GMRPolicy) -> tuple[Rollout, dict[str, Tensor]]:
+        """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""
+        path = self.rollout(policy)
+        deviation = policy.rows() - policy.initial_rows
+        n_points = path.features.ndim - deviation.ndim
+        for _ in range(n_points):
+            deviation = deviation.unsqueeze(-3)
+        upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.search.control_weight)
+        terms = self.cost_terms(path)
+        return path, {**terms, "control": 0.5 * upsilon.flatten(len(policy.batch_shape)).sum(-1)}
+
+
+def total(terms: Iterable[Tensor]) -> Tensor:
+    """The sum of cost terms."""
+    return torch.stack(list(terms)).sum(0)

@@ -1,0 +1,339 @@
+import copy
+import doctest
+import operator
+import pickle
+import re
+
+import numpy as np
+import pytest
+import scipy.interpolate
+import scipy.io
+import scipy.signal
+import torch
+
+import torchds.demonstrations
+from torchds.demonstrations import Demonstrations
+from torchds.errors import (
+    InvalidArgumentError,
+    InvalidDemonstrationsError,
+    UnknownNameError,
+)
+
+
+def sine(n_samples=101, duration=2.0, phase=0.0):
+    """x = (sin, t^2) and its exact velocity, with the time step."""
+    t = np.linspace(0, duration, n_samples)
+    x = np.stack([np.sin(t + phase), t**2], -1)
+    return x, np.stack([np.cos(t + phase), 2 * t], -1), duration / (n_samples - 1)
+
+
+def two(stiffness=False, **kwargs):
+    """Two motions of different length and time step."""
+    (xa, va, dta), (xb, vb, dtb) = sine(101), sine(61, 3.0, 0.5)
+    k = [xa[:, :1] ** 2 + 1, xb[:, :1] ** 2 + 2] if stiffness else None
+    return Demonstrations([xa, xb], [va, vb], [dta, dtb], stiffness=k, **kwargs)
+
+
+def equal(a, b):
+    assert len(a) == len(b) and a.names == b.names and a.units == b.units
+    for p, q in zip(a, b, strict=True):
+        assert p.dt == q.dt and torch.equal(p.x, q.x) and torch.equal(p.v, q.v) and p.x.dtype == q.x.dtype
+        assert (p.stiffness is None) == (q.stiffness is None)
+        assert p.stiffness is None or torch.equal(p.stiffness, q.stiffness)
+    return True
+
+
+def refuses(kind, *words):
+    return pytest.raises(kind, match=".*".join(re.escape(word) for word in words))
+
+
+# -- the sequence
+
+
+def test_the_examples_run():
+    assert doctest.testmod(torchds.demonstrations).failed == 0
+
+
+def test_is_a_sequence():
+    demos = two()
+    assert len(demos) == 2 and [len(d.x) for d in demos] == [101, 61]
+    assert demos.dim == 2 and demos.names == ("x1", "x2") and demos.units == ("", "") and demos.dt == (0.02, 0.05)
+    x, v, dt, stiffness = demos[-1]
+    assert x.shape == v.shape == (61, 2) and dt == 0.05 and stiffness is None and x.dtype == torch.float64
+    assert isinstance(demos[1:], Demonstrations) and equal(demos[1:] + demos[:1], demos[::-1])
+    with pytest.raises(IndexError):
+        demos[2]
+    assert repr(demos) == "Demonstrations(2 of 61 to 101 samples, dimensions x1, x2, dt 0.02 to 0.05 s)"
+    named = two(stiffness=True, names=["a", "b"], units="m")
+    assert "a [m], b [m], dt 0.02 to 0.05 s, stiffness 1)" in repr(named)
+
+
+def test_is_immutable():
+    x, v, dt = sine()
+    demos = Demonstrations([x], [v], dt)
+    x[:] = 0
+    assert demos[0].x.abs().max() > 0
+    for attribute in ("names", "dt", "anything"):
+        with pytest.raises(AttributeError):
+            setattr(demos, attribute, 1)
+    with pytest.raises(TypeError):
+        demos[0] = demos[0]
+
+
+def test_copies_and_pickles_are_equal():
+    demos = two(stiffness=True, names="ab", units=("m", "rad"))
+    assert equal(copy.deepcopy(demos), demos) and equal(pickle.loads(pickle.dumps(demos)), demos)
+
+
+def test_dtype_follows_float_data_and_is_float64_otherwise():
+    x = torch.arange(6.0).reshape(3, 2)
+    for data, dtype in [
+        (x, torch.float32),
+        (x.numpy(), torch.float32),
+        (x.double(), torch.float64),
+        (x.tolist(), torch.float64),
+        (x.int(), torch.float64),
+        (x.half(), torch.float64),
+        (x.numpy().astype(">f8")[::-1], torch.float64),
+    ]:
+        demos = Demonstrations([data], dt=0.5).with_stiffness(3).resample(5).smooth(3, 1).shift_to_goal().mirror(0)
+        demos = demos.scale(2.0).retime(1.0).every(2).differentiate().forward_differences()
+        assert {t.dtype for t in demos.stacked()} == {dtype}
+    assert Demonstrations([x, x.double()], dt=1.0)[0].v.dtype == torch.float64
+
+
+def test_a_tensor_of_equal_demonstrations_is_taken_apart():
+    x = torch.rand(4, 10, 3, generator=torch.Generator().manual_seed(0))
+    demos = Demonstrations(x, dt=0.1)
+    assert len(demos) == 4 and torch.equal(demos[2].x, x[2])
+
+
+def test_add_keeps_names_and_known_units():
+    a, b = two(names="ab"), two(units="m")
+    both = a + b
+    assert len(both) == 4 and both.names == ("a", "b") and both.units == ("m", "m")
+    with refuses(InvalidArgumentError, "('m', 'm') and in ('mm', 'mm')", "scale()"):
+        b + two(units="mm")
+    with refuses(InvalidArgumentError, "2 and of 1 dimensions"):
+        a + Demonstrations([[[0], [1]]], dt=1)
+    with refuses(InvalidArgumentError, "with and without stiffness", "with_stiffness()"):
+        a + two(stiffness=True)
+    with pytest.raises(TypeError):
+        operator.add(a, [1])
+
+
+def test_stacked_is_all_samples():
+    demos = two(stiffness=True)
+    x, v, stiffness = demos.stacked()
+    assert x.shape == v.shape == (162, 2) and stiffness.shape == (162, 1)
+    assert torch.equal(x[101:], demos[1].x) and torch.equal(stiffness[:101], demos[0].stiffness)
+    assert two().stacked().stiffness is None
+
+
+# -- velocities and sampling
+
+
+def test_differences_are_exact_for_a_parabola_and_second_order_for_a_sine():
+    errors = []
+    for n in (101, 201):
+        x, v, dt = sine(n)
+        d = Demonstrations([x], dt=dt)[0]
+        assert np.allclose(d.v[:, 1], v[:, 1], atol=1e-12)  # the ends too
+        errors.append(abs(d.v[:, 0].numpy() - v[:, 0]).max())
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
+
+
+def test_differentiate_forgets_given_velocities():
+    demos = two()
+    assert equal(demos.differentiate(), Demonstrations([d.x for d in demos], dt=demos.dt))
+    d = demos.differentiate()[1]
+    assert np.allclose(d.v, np.gradient(d.x.numpy(), d.dt, axis=0, edge_order=2), atol=1e-12)
+    assert Demonstrations([[[0.0], [3.0]]], dt=0.5)[0].v.tolist() == [[6.0], [6.0]]
+
+
+def test_forward_differences_are_euler_steps():
+    demos = two(stiffness=True)
+    for d, f in zip(demos, demos.forward_differences(), strict=True):
+        assert len(f.x) == len(d.x) - 1 == len(f.stiffness) and f.dt == d.dt
+        assert torch.allclose(f.x + f.dt * f.v, d.x[1:], atol=1e-14) and torch.equal(f.x, d.x[:-1])
+    with refuses(InvalidDemonstrationsError, "demonstration 0 has 1 sample"):
+        Demonstrations([[[0.0], [1.0]]], dt=1).forward_differences()
+
+
+def test_linear_resampling_is_numpys():
+    demos = two(stiffness=True)
+    for d, r in zip(demos, demos.resample(77), strict=True):
+        duration = d.dt * (len(d.x) - 1)
+        t, query = np.linspace(0, duration, len(d.x)), np.linspace(0, duration, 77)
+        assert r.dt == pytest.approx(duration / 76, rel=1e-14)
+        for before, after in ((d.x, r.x), (d.v, r.v), (d.stiffness, r.stiffness)):
+            for column in range(before.shape[1]):
+                assert np.allclose(after[:, column], np.interp(query, t, before[:, column]), atol=1e-12)
+
+
+def test_cubic_resampling_is_fourth_order_and_keeps_a_parabola():
+    x, v, dt = sine(26)
+    fine, exact, fine_dt = sine(251)
+    d = Demonstrations([x], [v], dt).resample(251, "cubic")[0]
+    assert d.dt == pytest.approx(fine_dt, rel=1e-14)
+    assert np.allclose(d.x[:, 1], fine[:, 1], atol=1e-12)
+    spline = scipy.interpolate.CubicSpline(np.linspace(0, 2, 26), x[:, 0])  # not-a-knot as well
+    assert np.allclose(d.x[:, 0], spline(np.linspace(0, 2, 251)), atol=1e-12)
+    assert np.allclose(d.v, exact, atol=1e-5)
+
+
+def test_resampling_to_the_same_count_changes_nothing():
+    demos = two(stiffness=True)[:1]
+    for a, b in zip(demos.stacked(), demos.resample(101).stacked(), strict=True):
+        assert torch.allclose(a, b, atol=1e-14, rtol=0)
+
+
+def test_every_nth_sample():
+    demos = two(stiffness=True)
+    for d, e in zip(demos, demos.every(3), strict=True):
+        assert torch.equal(e.x, d.x[::3]) and torch.equal(e.v, d.v[::3]) and torch.equal(e.stiffness, d.stiffness[::3])
+        assert e.dt == d.dt * 3
+    assert equal(demos.every(1), demos)
+
+
+def test_smoothing_is_savitzky_golay_and_keeps_its_polynomials():
+    demos = two()
+    noise = 0.01 * np.random.default_rng(0).normal(size=(101, 2))
+    noisy = Demonstrations([demos[0].x + torch.from_numpy(noise)], dt=0.02)
+    smooth = noisy.smooth(21)
+    assert np.allclose(smooth[0].x, scipy.signal.savgol_filter(noisy[0].x, 21, 3, axis=0), atol=1e-14)
+    assert (smooth[0].v - demos[0].v).abs().mean() < (noisy[0].v - demos[0].v).abs().mean() / 4
+    parabola = demos.smooth(9, order=2)
+    assert np.allclose(parabola[0].x[:, 1], demos[0].x[:, 1], atol=1e-12)
+    assert np.allclose(parabola[0].v[:, 1], demos[0].v[:, 1], atol=1e-11)
+
+
+# -- space, time and stiffness
+
+
+def test_shift_to_goal_ends_there():
+    demos = two(stiffness=True)
+    for goal, end in ((None, [0.0, 0.0]), ([1, -2], [1.0, -2.0]), (torch.tensor([3.0, 4.0]), [3.0, 4.0])):
+        shifted = demos.shift_to_goal(goal)
+        for d, s in zip(demos, shifted, strict=True):
+            assert s.x[-1].tolist() == end and torch.equal(s.v, d.v) and torch.equal(s.stiffness, d.stiffness)
+            assert torch.allclose(s.x.diff(dim=0), d.x.diff(dim=0), atol=1e-14)
+
+
+def test_scale_retime_and_mirror_keep_velocity_the_derivative_of_position():
+    demos = two(stiffness=True, units="m").differentiate()
+    changed = demos.scale(1e3, units="mm").retime(0.7).mirror(1)
+    assert changed.units == ("mm", "mm") and demos.scale(2.0).units == ("m", "m")
+    for d, c, derivative in zip(demos, changed, changed.differentiate(), strict=True):
+        assert c.dt == pytest.approx(0.7 / (len(d.x) - 1), rel=1e-14)
+        assert torch.equal(c.x, d.x * torch.tensor([1e3, -1e3], dtype=torch.float64))
+        assert torch.allclose(c.v, derivative.v, rtol=1e-10, atol=1e-8)
+        assert torch.equal(c.stiffness, d.stiffness)
+    assert equal(demos.mirror(-1).mirror(1), demos)
+
+
+def test_with_stiffness_is_a_constant_column_each():
+    one, two_columns = two().with_stiffness(200), two(stiffness=True).with_stiffness([100, 50.0])
+    assert one[1].stiffness.shape == (61, 1) and (one[1].stiffness == 200).all()
+    assert two_columns[0].stiffness.shape == (101, 2) and two_columns[0].stiffness[7].tolist() == [100, 50]
+
+
+# -- refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"x": [], "dt": 1}, ["there are no demonstrations"]),
+        ({"x": [[[0, 0]]], "dt": 1}, ["demonstration 0 has 1 sample", "at least two", "Leave it out"]),
+        ({"x": [np.zeros((5, 2)), np.zeros((0, 2))], "dt": 1}, ["demonstration 1 has 0 sample"]),
+        ({"x": np.zeros((5, 2)), "dt": 1}, ["x of demonstration 0 has shape (2,)", "(T, D)", "[x]"]),
+        ({"x": [np.zeros((5, 0))], "dt": 1}, ["shape (5, 0)"]),
+        (
+            {"x": [np.zeros((5, 2)), np.zeros((5, 3))], "dt": 1},
+            ["demonstration 1 has 3 columns", "demonstration 0 has 2"],
+        ),
+        ({"x": [[[0, 1], [2]]], "dt": 1}, ["x of demonstration 0 is not an array of real numbers"]),
+        ({"x": [[["a"], ["b"]]], "dt": 1}, ["not an array of real numbers"]),
+        ({"x": [torch.zeros(5, 2, dtype=torch.complex64)], "dt": 1}, ["not an array of real numbers"]),
+        ({"x": [np.zeros((5, 2))]}, ["no time step", "Pass dt= in seconds"]),
+        ({"x": [np.zeros((5, 2))], "v": [np.zeros((4, 2))], "dt": 1}, ["demonstration 0", "(5, 2) but v has (4, 2)"]),
+        (
+            {"x": [np.zeros((5, 2))], "v": [np.zeros((5, 1))], "dt": 1},
+            ["x has shape (5, 2) but v has (5, 1)", "leave v out"],
+        ),
+        ({"x": [np.zeros((5, 2))] * 2, "v": [np.zeros((5, 2))], "dt": 1}, ["1 arrays v for 2 demonstrations"]),
+        ({"x": [np.zeros((5, 2))], "stiffness": [np.zeros((4, 2))], "dt": 1}, ["but stiffness has (4, 2)"]),
+    ],
+)
+def test_unusable_data_are_refused(arguments, words):
+    with refuses(InvalidDemonstrationsError, *words):
+        Demonstrations(**arguments)
+
+
+@pytest.mark.parametrize("dt", [0, -0.1, float("nan"), float("inf"), [0.1, 0]])
+def test_bad_time_steps_are_refused(dt):
+    with refuses(InvalidDemonstrationsError, "dt of demonstration", "positive and finite"):
+        Demonstrations([np.zeros((3, 1))] * 2, dt=dt)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"dt": [1, 1, 1]}, ["dt has 3 values for 2 demonstrations"]),
+        ({"dt": "fast"}, ["dt is 'fast'"]),
+        ({"names": ["a"]}, ["1 names ('a',) for 2 dimensions"]),
+        ({"names": ["a", "a"]}, ["('a', 'a') has duplicates"]),
+        ({"units": ["m"]}, ["1 units ('m',) for 2 dimensions"]),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(arguments, words):
+    with refuses(InvalidArgumentError, *words):
+        Demonstrations([np.zeros((3, 2))] * 2, **({"dt": 1} | arguments))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_values_that_are_not_finite_are_found(value):
+    good, bad = np.zeros((5, 2)), np.zeros((5, 2))
+    bad[3, 1] = value
+    where = "demonstration 1, row 3 (counted from 0), column '"
+    with refuses(InvalidDemonstrationsError, where + f"b': {value} is not finite"):
+        Demonstrations([good, bad], dt=1, names="ab")
+    with refuses(InvalidDemonstrationsError, where + "velocity of x2'"):
+        Demonstrations([good, good], [good, bad], dt=1)
+    with refuses(InvalidDemonstrationsError, where + "stiffness 1'"):
+        Demonstrations([good, good], stiffness=[good, bad], dt=1)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda d: d[2:], ["leaves none of the 2"]),
+        (lambda d: d.resample(1), ["n_samples is 1", "integer of at least 2"]),
+        (lambda d: d.resample(10.5), ["n_samples is 10.5"]),
+        (lambda d: Demonstrations([[[0], [1], [2]]], dt=1).resample(9, "cubic"), ["0 has 3 samples", 'kind="linear"']),
+        (lambda d: d.every(0), ["n is 0"]),
+        (lambda d: d.every(61), ["every(61)", "61 samples of demonstration 1", "n < 61"]),
+        (lambda d: d.smooth(6), ["window is 6", "odd", "Use 7"]),
+        (lambda d: d.smooth(3), ["window is 3", "at least 4"]),
+        (lambda d: d.smooth(5, 0), ["order is 0"]),
+        (lambda d: d.smooth(99), ["demonstration 1 has 61 samples"]),
+        (lambda d: d.shift_to_goal([0, 0, 0]), ["goal has 3 entries", "2 dimensions"]),
+        (lambda d: d.shift_to_goal([0, float("nan")]), ["goal is", "finite"]),
+        (lambda d: d.scale(0), ["factor is 0", "positive"]),
+        (lambda d: d.scale(1, units=["m"]), ["1 units"]),
+        (lambda d: d.retime(float("inf")), ["duration is inf"]),
+        (lambda d: d.mirror(2), ["dim is 2", "0 to 1"]),
+        (lambda d: d.with_stiffness(float("nan")), ["stiffness is nan"]),
+        (lambda d: d.with_stiffness([[1, 2]]), ["stiffness is [[1, 2]]", "one row"]),
+        (lambda d: d.save_npz("demos.txt"), ["demos.txt does not end in .npz", "demos.npz"]),
+    ],
+)
+def test_methods_refuse_bad_arguments(call, words):
+    with refuses(InvalidArgumentError, *words):
+        call(two())
+
+
+def test_unknown_interpolation_is_refused():
+    with refuses(UnknownNameError, "'cubik'", "Did you mean 'cubic'"):
+        two().resample(10, "cubik")

@@ -1,0 +1,35 @@
+"""`python -m train <command> [options]`: learn a task, or measure the speed of the library."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import tyro
+
+from torchds.errors import TorchdsError
+from train import benchmark
+from train.options import TASK_OPTIONS
+from train.run import Interrupted, run
+
+
+def main() -> int:
+    """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
+    commands: dict[str, Callable[..., Any]] = {**TASK_OPTIONS, "benchmark": benchmark.Benchmark}
+    options: Any = tyro.extras.subcommand_cli_from_dict(
+        commands, prog="python -m train", description=__doc__, config=(tyro.conf.FlagConversionOff,)
+    )
+    try:
+        options.main() if isinstance(options, benchmark.Benchmark) else run(options)
+    except TorchdsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except Interrupted as stop:
+        print(stop, file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""The options of the training commands; `--help` shows every field with its line."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+
+@dataclass
+class RunOptions:
+    """Options that every task knows."""
+
+    task: ClassVar[str]
+
+    runs: int = 1
+    """Independent learning runs; all of them advance in one batch."""
+    seed: int = 0
+    """Seed of the exploration noise."""
+    updates: int | None = None
+    """Policy updates; the task's own number if not given."""
+    rollouts: int | None = None
+    """Roll-outs per update; the task's own number if not given."""
+    optimizer: Literal["pibb"] = "pibb"
+    """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper."""
+    exploration: Literal["homogeneous", "gaussian"] = "homogeneous"
+    """Parameter noise. homogeneous: equal in task space (Eq. 14-18). gaussian: one standard deviation for all."""
+    noise: float | None = None
+    """Size of the exploration: mean speed for homogeneous, standard deviation for gaussian; the task's own if not given."""
+    decay: Literal["inverse", "none"] = "inverse"
+    """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper."""
+    temperature: Literal["range", "median", "capped"] = "range"
+    """The spread of costs that scales the weights; range is the paper's."""
+    convention: Literal["paper", "released"] = "paper"
+    """The problem as the paper prints it, or as the authors' program runs it, where a task has both."""
+    demonstrations: Path | None = None
+    """Demonstrations to learn from in place of the task's own: .csv, .npz, .mat, or a folder of .csv."""
+    mixture: Path | None = None
+    """A fitted mixture (.npz with priors, means, covariances) in place of fitting one."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where runs write: LOGDIR/<task>/<optimizer>/<time>-<seed>/."""
+    resume: Path | None = None
+    """Continue the run in this folder; its own options hold, the others given here are ignored."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The options that go to `tasks.make`."""
+        return {"convention": self.convention, "demonstrations": self.demonstrations, "mixture": self.mixture}
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, as options.json and results.json keep them."""
+        return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name != "resume"}
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> RunOptions:
+        """What `to_json` gave."""
+        paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
+        return cls(**{**values, **paths})
+
+
+@dataclass
+class ViaPointOptions(RunOptions):
+    """Learn a handwritten letter that passes through via-points (section 3.3)."""
+
+    task: ClassVar[str] = "via_point"
+
+    shape: Literal["N", "P"] = "N"
+    """The letter."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The common options and the shape."""
+        return super().task_options() | {"shape": self.shape}
+
+
+TASK_OPTIONS: dict[str, type[RunOptions]] = {cls.task: cls for cls in (ViaPointOptions,)}

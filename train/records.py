@@ -1,0 +1,95 @@
+"""What a run keeps: its history, checkpoints that survive a kill, results.json, and the closing table."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass
+class History:
+    """Noise-free costs after every update, the initial policy first.
+
+    Attributes:
+        rollouts: `[U+1]` roll-outs spent.
+        cost: `[U+1][runs]`.
+        terms: name -> `[U+1][runs]`.
+        failed: `[U+1]` roll-outs without a finite cost, all runs together.
+        seconds: spent learning.
+    """
+
+    rollouts: list[int] = field(default_factory=list)
+    cost: list[list[float]] = field(default_factory=list)
+    terms: dict[str, list[list[float]]] = field(default_factory=dict)
+    failed: list[int] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def add(self, rollouts: int, terms: dict[str, Tensor], failed: int) -> None:
+        """Append one evaluation, terms `(runs,)` each."""
+        self.rollouts.append(rollouts)
+        self.cost.append(torch.stack(list(terms.values())).sum(0).tolist())
+        for name, values in terms.items():
+            self.terms.setdefault(name, []).append(values.tolist())
+        self.failed.append(failed)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": platform.python_version(), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
+    for package in ("torchds", "torch", "numpy", "scikit-learn", "mujoco"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def write_atomically(path: Path, write: Any) -> None:
+    """Call `write(temporary path)`, then move the file into place: readers see the old file or the new one."""
+    temporary = path.with_name(f".{path.name}.part")
+    write(temporary)
+    os.replace(temporary, path)
+
+
+def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
+    """Write a checkpoint that a kill cannot leave half done."""
+    write_atomically(path, lambda temporary: torch.save(content, temporary))
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON atomically."""
+    write_atomically(path, lambda temporary: temporary.write_text(json.dumps(content, indent=1) + "\n"))
+
+
+def results(task: str, options: dict[str, Any], history: History) -> dict[str, Any]:
+    """The content of results.json."""
+    return {
+        "task": task,
+        "options": options,
+        "versions": versions(),
+        "rollouts": history.rollouts,
+        "cost": history.cost,
+        "terms": history.terms,
+        "failed": history.failed,
+        "seconds": round(history.seconds, 3),
+    }
+
+
+def table(history: History) -> str:
+    """Initial and final cost by term: median and quartiles over runs."""
+    rows = [("cost", "initial", "final: median", "[q1, q3]")]
+    for name, values in {"total": history.cost, **history.terms}.items():
+        first = np.median(values[0])
+        q1, median, q3 = np.quantile(values[-1], [0.25, 0.5, 0.75])
+        rows.append((name, f"{first:.4g}", f"{median:.4g}", f"[{q1:.4g}, {q3:.4g}]"))
+    widths = [max(len(row[i]) for row in rows) for i in range(4)]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
