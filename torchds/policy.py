@@ -312,9 +312,9 @@ class GMRPolicy(nn.Module):
 
     def pack(self) -> Tensor:
         """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45)."""
-        slopes = [self.A] + ([self.stiffness_A] if self.stiffness_dim else [])
-        offsets = [self.b] + ([self.stiffness_b] if self.stiffness_dim else [])
-        return torch.cat([torch.cat(slopes, -2).flatten(-2), torch.cat(offsets, -1)], -1).flatten(-2)
+        A = torch.cat([self.A, self.stiffness_A], -2) if self.stiffness_dim else self.A
+        b = torch.cat([self.b, self.stiffness_b], -1) if self.stiffness_dim else self.b
+        return torch.cat([A.flatten(-2), b], -1).flatten(-2)
 
     def split(self, theta: Tensor) -> dict[str, Tensor]:
         """The parameters that `theta` `(*batch, P)` stands for, by name; differentiable, changes nothing.

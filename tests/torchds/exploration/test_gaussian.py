@@ -40,7 +40,9 @@ def test_the_noise_is_the_standard_deviation_times_the_normals(std, each, dtype)
         assert torch.equal(noise, torch.from_numpy(z.numpy() * torch.tensor(s, dtype=dtype).numpy()))
 
 
-@pytest.mark.parametrize("std", [-0.1, float("nan"), float("inf"), [0.1, -1.0], [torch.tensor([0.1, float("nan")]), 0.1]])
+@pytest.mark.parametrize(
+    "std", [-0.1, float("nan"), float("inf"), [0.1, -1.0], [torch.tensor([0.1, float("nan")]), 0.1]]
+)
 def test_a_standard_deviation_that_is_negative_or_not_finite_is_refused(std):
     with pytest.raises(InvalidArgumentError, match="std has to be finite and ≥ 0, got"):
         Gaussian(std)

@@ -100,7 +100,9 @@ def test_the_stiffness_rows_follow_the_input_they_multiply_under_every_rule(rule
     std = Homogeneous(make_policy(Q=1), rule=rule, mean_stiffness=2.0).std()
     share = 4.0 * np.pi / 2 / 3  # E|z| = √(2/π) in one dimension, D + 1 = 3 terms
     base = "moment" if rule == "moment" else "centre"
-    unit = [[slope_variance(base, 1.0, MEANS[k], COVARIANCES[k], 0, d) * 3 * np.pi / 2 for d in range(2)] for k in range(3)]
+    unit = [
+        [slope_variance(base, 1.0, MEANS[k], COVARIANCES[k], 0, d) * 3 * np.pi / 2 for d in range(2)] for k in range(3)
+    ]
     np.testing.assert_allclose(std["stiffness_A"].square(), share * np.array(unit)[:, None], rtol=1e-12)
     np.testing.assert_allclose(std["stiffness_b"].square(), np.full((3, 1), share), rtol=1e-12)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.special
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchds.errors import InvalidArgumentError
@@ -84,21 +84,25 @@ def test_the_median_of_mostly_minima_leaves_the_weight_to_the_cheapest():
     e = np.exp(-10.0)
     expected = np.array([1, e, 1, 1, e]) / (3 + 2 * e)
     np.testing.assert_allclose(cost_weights(costs, temperature="capped"), expected, rtol=1e-12)
-    nearly = costs + torch.tensor([0, 0, 1e-9, 1e-9, 0])
-    np.testing.assert_allclose(cost_weights(nearly, 1e-6, "capped"), np.full(5, 0.2), rtol=1e-5)
-    np.testing.assert_allclose(cost_weights(nearly, temperature="capped")[[1, 4]] / e, expected[1] / e * 0 + 1, rtol=0.4)
+    for temperature, ratio in (("median", 0.0), ("capped", e)):
+        nearly = cost_weights(costs + torch.tensor([0, 0, 0, 1e-9, 0]), temperature=temperature)
+        np.testing.assert_allclose(nearly[[1, 4]] / nearly[0], [ratio, ratio], rtol=1e-12)
 
 
 finite = st.lists(st.integers(-1000, 1000), min_size=2, max_size=12)
 
 
+@settings(deadline=None)  # the first call of torch is slow
 @given(costs=finite, shift=st.integers(-(10**6), 10**6), power=st.integers(-30, 30), kind=st.sampled_from(TEMPERATURES))
 def test_shifting_and_scaling_the_costs_changes_nothing(costs, shift, power, kind):
     S = torch.tensor(costs, dtype=torch.float64)
     moved = (S + shift) * 2.0**power  # exact: integers below 2⁵³ and powers of two
-    torch.testing.assert_close(cost_weights(moved, temperature=kind), cost_weights(S, temperature=kind), rtol=1e-12, atol=0)
+    torch.testing.assert_close(
+        cost_weights(moved, temperature=kind), cost_weights(S, temperature=kind), rtol=1e-12, atol=0
+    )
 
 
+@settings(deadline=None)  # the first call of torch is slow
 @given(costs=finite, kind=st.sampled_from(TEMPERATURES), failed=st.integers(0, 11))
 def test_weights_sum_to_one_and_a_cheaper_rollout_never_gets_less(costs, kind, failed):
     S = torch.tensor(costs, dtype=torch.float64)
@@ -120,7 +124,8 @@ def test_trailing_dimensions_are_columns(temperature, dtype):
     assert weights.dtype == dtype
     for i in range(3):
         for j in range(2):
-            assert torch.equal(weights[:, i, j], cost_weights(costs[:, i, j], temperature=temperature))
+            alone = cost_weights(costs[:, i, j], temperature=temperature)
+            torch.testing.assert_close(weights[:, i, j], alone, rtol=100 * torch.finfo(dtype).eps, atol=0)
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
