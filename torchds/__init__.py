@@ -47,6 +47,8 @@ from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout
 
+__version__ = "0.1.0"
+
 __all__ = [
     "Bounds",
     "Conditional",

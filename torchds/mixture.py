@@ -150,7 +150,7 @@ class GaussianMixture:
             DegenerateMixtureError: no such file, another kind of file, missing arrays, or arrays that are no mixture.
         """
         try:
-            with np.load(path) as file:
+            with open(path, "rb") as stream, np.load(stream) as file:
                 found = {
                     name.removeprefix("gmm_"): np.asarray(file[name], dtype=np.float64) for name in _ARRAYS & set(file)
                 }

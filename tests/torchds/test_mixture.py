@@ -167,19 +167,20 @@ def clusters(randn):
 
 
 def test_a_fit_is_as_likely_as_the_mixture_that_made_the_samples(random_mixture, randn):
-    truth = random_mixture(K=2, F=3)
+    mixture = random_mixture(K=2, F=3)
+    means = torch.tensor([[0.0, 0, 0], [4, -4, 4]], dtype=torch.float64)
+    truth = GaussianMixture(torch.tensor([0.3, 0.7], dtype=torch.float64), means, mixture.covariances)
     factors = torch.linalg.cholesky(truth.covariances)
 
-    def sample(n):
-        k = torch.arange(n) % 1000 < 1000 * truth.priors[1]
-        k = k.long()
-        return truth.means[k] + (factors[k] @ randn(n, 3, 1)).squeeze(-1)
+    def sample():
+        k = (torch.arange(2000) >= 600).long()
+        return means[k] + (factors[k] @ randn(2000, 3, 1)).squeeze(-1)
 
-    fit = GaussianMixture.fit(sample(4000), 2)
-    fresh = sample(4000)
-    # 19 parameters cost half a nat each over 4000 samples; a single Gaussian loses far more
-    assert abs(fit.log_prob(fresh).mean() - truth.log_prob(fresh).mean()) < 0.02
-    assert GaussianMixture.fit(sample(4000), 1).log_prob(fresh).mean() < truth.log_prob(fresh).mean() - 0.05
+    seen, fresh = sample(), sample()
+    likelihood = truth.log_prob(fresh).mean()
+    # each of the 19 parameters costs about half a nat in 2000 samples; one Gaussian loses far more
+    assert abs(GaussianMixture.fit(seen, 2, tol=1e-4).log_prob(fresh).mean() - likelihood) < 0.02
+    assert GaussianMixture.fit(seen, 1).log_prob(fresh).mean() < likelihood - 0.2
 
 
 def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
@@ -191,21 +192,31 @@ def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
 
 
 def test_bic_counts_well_separated_clusters(clusters):
-    assert GaussianMixture.fit(clusters, "bic", max_components=5).n_components == 3
+    assert GaussianMixture.fit(clusters, "bic", max_components=5, tol=1e-3).n_components == 3
     assert GaussianMixture.fit(clusters, "bic", max_components=2).n_components == 2
 
 
-def test_bic_passes_over_numbers_of_components_that_do_not_fit(randn):
-    y = 1e8 * randn(60, 3)
-    y = torch.cat([y, 2 * y[:, :1]], -1)  # singular to rounding: one Gaussian just fits, more of them do not
-    with pytest.raises(DegenerateMixtureError, match="no mixture of 3 Gaussians fits"):
-        GaussianMixture.fit(y, 3)
-    assert GaussianMixture.fit(y, "bic", max_components=3).n_components == 1
+def test_bic_passes_over_numbers_of_components_that_do_not_fit(clusters, monkeypatch):
+    fit = sklearn.mixture.GaussianMixture.fit
+    singular = {1, 3, 4}
+
+    def refuse(model, y):
+        if model.n_components in singular:
+            raise ValueError("ill-defined empirical covariance")
+        return fit(model, y)
+
+    monkeypatch.setattr(sklearn.mixture.GaussianMixture, "fit", refuse)
+    with pytest.raises(DegenerateMixtureError, match="no mixture of 3 Gaussians fits these 450 samples"):
+        GaussianMixture.fit(clusters, 3)
+    assert GaussianMixture.fit(clusters, "bic", max_components=4).n_components == 2
+    singular |= {2}
+    with pytest.raises(DegenerateMixtureError, match="no mixture of 4 Gaussians fits these 450 samples"):
+        GaussianMixture.fit(clusters, "bic", max_components=4)
 
 
 def test_one_seed_gives_one_fit(clusters):
-    first, second = (GaussianMixture.fit(clusters, 4, n_init=1, seed=3) for _ in range(2))
-    other = GaussianMixture.fit(clusters, 4, n_init=1, seed=4)
+    first, second = (GaussianMixture.fit(clusters, 4, n_init=1, tol=1e-2, seed=3) for _ in range(2))
+    other = GaussianMixture.fit(clusters, 4, n_init=1, tol=1e-2, seed=4)
     assert_close((first.priors, first.means), (second.priors, second.means), rtol=0, atol=0)
     assert not torch.equal(first.means, other.means)
 
