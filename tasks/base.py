@@ -112,6 +112,10 @@ class Task(ABC):
     def scene(self) -> Scene:
         """What a figure of the task shows."""
 
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
+        return {}
+
     # ------------------------------------------------------------------ what follows from it
 
     @cached_property
@@ -127,6 +131,14 @@ class Task(ABC):
     def cost(self, path: Rollout) -> Tensor:
         """The cost of a trial `(*batch)`, without the control cost, which an optimizer adds."""
         return total(self.cost_terms(path).values())
+
+    def step_costs(self, path: Rollout) -> Tensor:
+        """The cost by steps `(*batch, T)`, terminal costs in the last, as `PI2` wants it."""
+        running = self.running_costs(path)
+        terms = self.cost_terms(path)
+        terminal = total(value for name, value in terms.items() if name not in running)
+        steps = total(running.values()) if running else terminal.new_zeros(*terminal.shape, path.v.shape[-2])
+        return torch.cat([steps[..., :-1], (steps[..., -1] + terminal).unsqueeze(-1)], -1)
 
     def evaluate(self, policy: GMRPolicy) -> tuple[Rollout, dict[str, Tensor]]:
         """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""

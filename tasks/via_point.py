@@ -95,6 +95,10 @@ class ViaPoint(Task):
             "acceleration": ACCELERATION_WEIGHT * costs.acceleration(path.v),
         }
 
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """The acceleration."""
+        return {"acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v)}
+
     def scene(self) -> Scene:
         """Start, goal and via-points."""
         return Scene(self.start[None], self.goal, {"via-points": self.via_points}, unit="4 mm")

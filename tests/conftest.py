@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import threadpoolctl
 import torch
 
 import torchds
@@ -11,6 +12,8 @@ import torchds
 def one_thread():
     """Sums are made in one order, and tests that run side by side do not fight for cores."""
     torch.set_num_threads(1)
+    with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
+        yield
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 
 def via_points(x: Tensor, points: Tensor) -> Tensor:
@@ -24,9 +25,14 @@ def goal(x: Tensor, target: Tensor) -> Tensor:
     return (x[..., -1, :] - target).square().sum(-1)
 
 
+def acceleration_steps(v: Tensor) -> Tensor:
+    """|v_j − v_{j−1}| of every step `(..., T)` for `v` `(..., T, O)`, zero in the first; not divided by dt (Eq. 39)."""
+    return F.pad(torch.linalg.vector_norm(v.diff(dim=-2), dim=-1), (1, 0))
+
+
 def acceleration(v: Tensor) -> Tensor:
-    """Σ_j |v_j − v_{j−1}|, `(...)` for `v` `(..., T, O)`: Eq. 39's running cost, not divided by dt."""
-    return torch.linalg.vector_norm(v.diff(dim=-2), dim=-1).sum(-1)
+    """Σ_j |v_j − v_{j−1}|, `(...)` for `v` `(..., T, O)`: the running cost of Eq. 39."""
+    return acceleration_steps(v).sum(-1)
 
 
 def path_length(v: Tensor, dt: float) -> Tensor:

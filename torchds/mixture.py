@@ -223,7 +223,7 @@ class GaussianMixture:
             try:
                 fits.append(_expectation_maximisation(y, K, covariance_floor, n_init, tol, seed))
             except DegenerateMixtureError:
-                if K == candidates[-1] and not fits:
+                if not fits and candidates[-1] == K:  # none at all
                     raise
         best = min(fits, key=lambda fit: fit.bic(y)) if len(fits) > 1 else fits[0]
         return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in (best.weights_, best.means_, best.covariances_)))

@@ -234,7 +234,10 @@ class GMRPolicy(nn.Module):
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """The leading dimensions of the parameters, () for one policy."""
-        return tuple(self.A.shape[:-3])
+        lead = [self.A.shape[:-3], self.b.shape[:-2]]
+        if self.stiffness_dim:
+            lead += [self.stiffness_A.shape[:-3], self.stiffness_b.shape[:-2]]
+        return tuple(torch.broadcast_shapes(*lead))
 
     @property
     def covariances(self) -> Tensor:
@@ -251,7 +254,13 @@ class GMRPolicy(nn.Module):
     # ------------------------------------------------------------------ evaluation
 
     def gating(self, x: Tensor) -> Tensor:
-        """h_k(x) of Eq. 2, `(..., K)` for `x` `(..., D)`: sums to one, arbitrarily far from the data too."""
+        """h_k(x) of Eq. 2, `(..., K)` for `x` `(..., D)`: sums to one, arbitrarily far from the data too.
+
+        Raises:
+            InvalidArgumentError: `x` does not end with the D inputs.
+        """
+        if x.shape[-1:] != (self.input_dim,):
+            raise InvalidArgumentError(f"x has to end with the policy's {self.input_dim} inputs, got {tuple(x.shape)}")
         z = F.linear(x - self._center, self.factors.flatten(0, 1), self._offset)
         limit = torch.finfo(z.dtype).max ** 0.5 / (4 * self.input_dim)  # squares stay finite
         z = z.clamp(-limit, limit).unflatten(-1, (self.n_components, self.input_dim))
@@ -271,6 +280,20 @@ class GMRPolicy(nn.Module):
         parameters = [self.A, self.b] + ([self.stiffness_A, self.stiffness_b] if self.stiffness_dim else [])
         return self._arrange(*(parameters if value is None else map(value, parameters)))
 
+    def from_rows(self, rows: Tensor) -> dict[nn.Parameter, Tensor]:
+        """The inverse of `rows`: what each parameter's part of `rows` `(*batch, O+Q, K (D+1))` is."""
+        D, O = self.input_dim, self.output_dim
+        experts = rows.unflatten(-1, (self.n_components, D + 1)).movedim(-2, -3)  # (*batch, K, O+Q, D+1)
+        parts = {self.A: experts[..., :O, :D], self.b: experts[..., :O, D]}
+        if self.stiffness_dim:
+            parts |= {self.stiffness_A: experts[..., O:, :D], self.stiffness_b: experts[..., O:, D]}
+        return parts
+
+    def feature_gating(self, features: Tensor) -> Tensor:
+        """h_k for each of the features `(..., K (D+1))`, k the component that the feature belongs to."""
+        D = self.input_dim
+        return features[..., D :: D + 1].repeat_interleave(D + 1, -1)
+
     @property
     def initial_rows(self) -> Tensor:
         """`rows` of the demonstrated policy (Eq. 12-13)."""
@@ -278,9 +301,9 @@ class GMRPolicy(nn.Module):
 
     @staticmethod
     def _arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:
-        experts = torch.cat([A, b.unsqueeze(-1)], -1)  # (*batch, K, O, D+1)
+        experts = cat_broadcast([A, b.unsqueeze(-1)], -1)  # (*batch, K, O, D+1)
         if stiffness:
-            experts = torch.cat([experts, torch.cat([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
+            experts = cat_broadcast([experts, cat_broadcast([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
         return experts.movedim(-3, -2).flatten(-2)
 
     def outputs(self, features: Tensor, rows: Tensor) -> Tensor:
@@ -308,13 +331,35 @@ class GMRPolicy(nn.Module):
         block = torch.cat([slopes, identity.expand(*slopes.shape[:-1], n)], -1)
         return (self.gating(x)[..., None, :, None] * block.unsqueeze(-2)).flatten(-2)
 
+    def jacobian(self, x: Tensor) -> Tensor:
+        r"""∂[ẋ; s]/∂x `(*batch, *points, O+Q, D)`, in closed form.
+
+        .. math:: \sum_k h_k (A_k + y_k (σ_k - \sum_j h_j σ_j)^T), \quad y_k = A_k x + b_k, \quad σ_k = -Σ_k^{-1} (x - μ_k).
+        """
+        K, D = self.n_components, self.input_dim
+        h = self.gating(x)  # (*batch, *points, K)
+        z = F.linear(x - self._center, self.factors.flatten(0, 1), self._offset).unflatten(-1, (K, D))
+        score = -(z.unsqueeze(-2) @ self.factors).squeeze(-2)  # σ_k, (*batch, *points, K, D)
+        turn = h.unsqueeze(-1) * (score - (h.unsqueeze(-1) * score).sum(-2, keepdim=True))  # ∂h_k/∂x
+        experts = self.rows().unflatten(-1, (K, D + 1))  # (*batch, O+Q, K, D+1)
+        for _ in range(x.ndim - experts.ndim + 2):
+            experts = experts.unsqueeze(-4)
+        y = (experts @ F.pad(x, (0, 1), value=1.0)[..., None, :, None]).squeeze(-1)  # (*batch, *points, O+Q, K)
+        return y @ turn + (h[..., None, :, None] * experts[..., :D]).sum(-2)
+
     # ------------------------------------------------------------------ the flat parameter vector
 
-    def pack(self) -> Tensor:
-        """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45)."""
-        A = torch.cat([self.A, self.stiffness_A], -2) if self.stiffness_dim else self.A
-        b = torch.cat([self.b, self.stiffness_b], -1) if self.stiffness_dim else self.b
-        return torch.cat([A.flatten(-2), b], -1).flatten(-2)
+    def pack(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
+        """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45).
+
+        Args:
+            value: what to pack in place of each parameter, as for `rows`.
+        """
+        get = value or (lambda parameter: parameter)
+        A, b = get(self.A), get(self.b)
+        if self.stiffness_dim:
+            A, b = cat_broadcast([A, get(self.stiffness_A)], -2), cat_broadcast([b, get(self.stiffness_b)], -1)
+        return cat_broadcast([A.flatten(-2), b], -1).flatten(-2)
 
     def split(self, theta: Tensor) -> dict[str, Tensor]:
         """The parameters that `theta` `(*batch, P)` stands for, by name; differentiable, changes nothing.
@@ -345,6 +390,18 @@ class GMRPolicy(nn.Module):
                 parameter.grad = None  # of another batch; autograd could not add to it
             parameter.data = value.to(parameter).clone()
         return self
+
+
+def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:
+    """Concatenate along `dim` after broadcasting the leading dimensions.
+
+    An optimizer of some of a policy's parameters gives leading dimensions to these only.
+    """
+    if len({t.ndim for t in tensors}) > 1:
+        last = [t.movedim(dim, -1) for t in tensors]
+        lead = torch.broadcast_shapes(*(t.shape[:-1] for t in last))
+        tensors = [t.expand(*lead, t.shape[-1]).movedim(-1, dim) for t in last]
+    return torch.cat(tensors, dim)
 
 
 def chi_mean(dim: int) -> float:

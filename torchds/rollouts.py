@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from torchds import visits
 from torchds.errors import InvalidArgumentError
+from torchds.plants import Command, Plant
 from torchds.policy import GMRPolicy
 
 StopCondition = Callable[[Tensor, Tensor], Tensor]
@@ -22,23 +23,32 @@ class Rollout:
     """What happened along a roll-out.
 
     Attributes:
-        x: `(*batch, *points, T+1, D)` states, the start first.
-        v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests.
-        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T states.
-        resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
+        x: `(*batch, *points, T+1, D)` states, the start first; of the plant where there is one.
+        v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests. With a plant, its velocities
+            at the ends of the steps, `(..., T, D)`.
+        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T reference states.
         dt: time step [s].
+        resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
+        stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m]; None for a policy without stiffness.
+        reference: `(*batch, *points, T+1, D)` the motion that the policy generates; `x` itself without a plant.
+        plant: all that the plant went through (a `Motion` for a point mass), each field `(*batch, *points, T+1, ...)`;
+            None without a plant.
     """
 
     x: Tensor
     v: Tensor
     features: Tensor
-    resting: Tensor | None
     dt: float
+    resting: Tensor | None
+    stiffness: Tensor | None
+    reference: Tensor
+    plant: Any
 
     @property
     def gating(self) -> Tensor:
         """h_k `(*batch, *points, T, K)` at the first T states."""
-        return self.features[..., self.x.shape[-1] :: self.x.shape[-1] + 1]
+        D = self.reference.shape[-1]
+        return self.features[..., D :: D + 1]
 
     @property
     def stopped(self) -> Tensor:
@@ -73,6 +83,7 @@ def rollout(
     *,
     starts: Literal["shared", "per_policy"] = "shared",
     stop: StopCondition | None = None,
+    plant: Plant | None = None,
 ) -> Rollout:
     """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
 
@@ -84,6 +95,7 @@ def rollout(
         dt: time step [s].
         starts: how the leading dimensions of `x0` are read.
         stop: a roll-out rests for good where this is True; see `Bounds`.
+        plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34).
 
     Returns:
         A `Rollout`; differentiable with respect to the parameters and `x0`. States may diverge to infinity or NaN:
@@ -108,27 +120,40 @@ def rollout(
         raise InvalidArgumentError(f"n_steps ≥ 1 and a finite dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
     x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
     rows = policy.rows()
+    O, v = policy.output_dim, x.new_zeros(*x.shape[:-1], policy.output_dim)
+    state: Any = None if plant is None else plant.reset(x)
     resting = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
-    states, velocities, features, rests = [x], [], [], []
-    for _ in range(n_steps):
+    references, velocities, features, stiffness, rests, states = [x], [], [], [], [], [state]
+    for i in range(n_steps):
         g = policy.features(x)
-        v = policy.outputs(g, rows)[..., : policy.output_dim]
+        y = policy.outputs(g, rows)
+        v_before, v, s = v, y[..., :O], y[..., O:] if policy.stiffness_dim else None
         x_next = torch.add(x, v[..., :D], alpha=dt)
         if stop is not None:
             resting = resting | stop(x, x_next)
             rests.append(resting)
             keep = resting.unsqueeze(-1)
             x_next, v = torch.where(keep, x, x_next), v.masked_fill(keep, 0.0)
+        if plant is not None:
+            state = plant.step(state, Command(x, x_next, v_before, v, s, i * dt, dt))
+            states.append(state)
         x = x_next
-        states.append(x)
+        references.append(x)
         velocities.append(v)
         features.append(g)
+        if s is not None:
+            stiffness.append(s)
+    reference = torch.stack(references, -2)
+    tracked = None if plant is None else type(states[0])(*(torch.stack(f, -2) for f in zip(*states, strict=True)))
     path = Rollout(
-        x=torch.stack(states, -2),
-        v=torch.stack(velocities, -2),
+        x=reference if tracked is None else tracked.x,
+        v=torch.stack(velocities, -2) if tracked is None else tracked.v[..., 1:, :],
         features=torch.stack(features, -2),
-        resting=torch.stack(rests, -1) if rests else None,
         dt=dt,
+        resting=torch.stack(rests, -1) if rests else None,
+        stiffness=torch.stack(stiffness, -2) if stiffness else None,
+        reference=reference,
+        plant=tracked,
     )
     visits.report(policy, path.features)
     return path

@@ -25,6 +25,12 @@ class LinearPolicy(Protocol):
     def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
         """Arrange a quantity given per parameter as rows."""
 
+    def from_rows(self, rows: Tensor) -> dict[nn.Parameter, Tensor]:
+        """Take rows apart into parameters."""
+
+    def feature_gating(self, features: Tensor) -> Tensor:
+        """The activation of the component that each feature belongs to."""
+
 
 class Visit(NamedTuple):
     """One roll-out's report: the policy, and the features `(*batch, *points, T, F)` that it saw."""

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import torch
 import tyro
 
 from torchds.errors import TorchdsError
@@ -20,6 +21,7 @@ def main() -> int:
     options: Any = tyro.extras.subcommand_cli_from_dict(
         commands, prog="python -m train", description=__doc__, config=(tyro.conf.FlagConversionOff,)
     )
+    torch.set_num_threads(1)  # small tensors: a second thread costs more than it gives, and results depend on one only
     try:
         options.main() if isinstance(options, benchmark.Benchmark) else run(options)
     except TorchdsError as error:

@@ -25,7 +25,6 @@ class Benchmark:
 
     def main(self) -> None:
         """Time 20 runs and one run, and print both with machine and versions."""
-        torch.set_num_threads(1)
         rows = {runs: [self.seconds(runs) for _ in tqdm(range(self.repeats), desc=f"{runs} runs")] for runs in (20, 1)}
         print(", ".join(f"{name} {value}" for name, value in versions().items()))
         for runs, times in rows.items():

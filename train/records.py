@@ -84,12 +84,16 @@ def results(task: str, options: dict[str, Any], history: History) -> dict[str, A
     }
 
 
+def median(values: list[float]) -> float:
+    """The median over runs."""
+    return float(np.median(values))
+
+
 def table(history: History) -> str:
     """Initial and final cost by term: median and quartiles over runs."""
     rows = [("cost", "initial", "final: median", "[q1, q3]")]
     for name, values in {"total": history.cost, **history.terms}.items():
-        first = np.median(values[0])
-        q1, median, q3 = np.quantile(values[-1], [0.25, 0.5, 0.75])
-        rows.append((name, f"{first:.4g}", f"{median:.4g}", f"[{q1:.4g}, {q3:.4g}]"))
+        q1, middle, q3 = np.quantile(values[-1], [0.25, 0.5, 0.75])
+        rows.append((name, f"{median(values[0]):.4g}", f"{middle:.4g}", f"[{q1:.4g}, {q3:.4g}]"))
     widths = [max(len(row[i]) for row in rows) for i in range(4)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)

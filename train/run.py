@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
@@ -17,7 +18,7 @@ from torchds.errors import InvalidArgumentError
 from torchds.optim import PolicySearch
 from train import figures
 from train.options import TASK_OPTIONS, RunOptions
-from train.records import History, results, save_checkpoint, table, write_json
+from train.records import History, median, results, save_checkpoint, table, write_json
 from train.searchers import make_decay, make_optimizer
 
 CHECKPOINT = "checkpoint.pt"
@@ -120,7 +121,7 @@ def run(options: RunOptions) -> Path:
                 content: dict[str, Any] = {"policy": policy, "optimizer": optim, "decay": decay}
                 states = {name: thing.state_dict() for name, thing in content.items()}
                 save_checkpoint(folder / CHECKPOINT, states | {"history": asdict(history)})
-                bar.set_postfix_str(f"cost {torch.tensor(history.cost[-1]).median():.4g}")
+                bar.set_postfix_str(f"cost {median(history.cost[-1]):.4g}")
         except KeyboardInterrupt:
             raise Interrupted(f"stopped; continue with: python -m train {options.task} --resume {folder}") from None
         finally:
@@ -131,8 +132,7 @@ def run(options: RunOptions) -> Path:
             figure.savefig(folder / f"{name}.png", dpi=130)
             writer.add_figure(name, figure, n_updates)
         hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
-        final = torch.tensor(history.cost[-1])
-        writer.add_hparams(hparams, {"hparam/final_cost_median": float(final.median())}, run_name=".")
+        writer.add_hparams(hparams, {"hparam/final_cost_median": median(history.cost[-1])}, run_name=".")
     print(table(history))
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder}")
     return folder
@@ -148,11 +148,11 @@ def log(
     writer: SummaryWriter, update: int, history: History, optim: PolicySearch, options: RunOptions, seconds: float
 ) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
-    quantiles = torch.tensor(history.cost[-1], dtype=torch.float64).quantile(torch.tensor([0.25, 0.5, 0.75]).double())
-    for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quantiles.tolist(), strict=True):
+    quantiles = np.quantile(history.cost[-1], [0.25, 0.5, 0.75])
+    for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quantiles, strict=True):
         writer.add_scalar(name, value, update)
     for name, values in history.terms.items():
-        writer.add_scalar(f"cost/{name}", torch.tensor(values[-1]).median(), update)
+        writer.add_scalar(f"cost/{name}", median(values[-1]), update)
     writer.add_scalar("rollouts/total", history.rollouts[-1], update)
     writer.add_scalar("rollouts/failed", history.failed[-1], update)
     writer.add_scalar("exploration/lr", optim.param_groups[0]["lr"], update)

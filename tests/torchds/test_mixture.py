@@ -82,7 +82,9 @@ def test_float32_in_gives_float32_out(random_mixture, randn):
     mixture, y = random_mixture(), randn(5, 4)
     single = GaussianMixture(mixture.priors.float(), mixture.means.float(), mixture.covariances.float())
     assert_close(single.log_prob(y.float()), mixture.log_prob(y).float(), rtol=1e-5, atol=1e-4)
-    assert_close(single.condition(y[:, :2].float()).mean, mixture.condition(y[:, :2]).mean.float(), rtol=1e-4, atol=1e-4)
+    assert_close(
+        single.condition(y[:, :2].float()).mean, mixture.condition(y[:, :2]).mean.float(), rtol=1e-4, atol=1e-4
+    )
 
 
 def test_the_summary_names_the_sizes(random_mixture):
@@ -194,6 +196,17 @@ def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
 def test_bic_counts_well_separated_clusters(clusters):
     assert GaussianMixture.fit(clusters, "bic", max_components=5, tol=1e-3).n_components == 3
     assert GaussianMixture.fit(clusters, "bic", max_components=2).n_components == 2
+
+
+def test_bic_charges_each_free_number_the_logarithm_of_the_samples(randn):
+    y, F, M = randn(30, 2), 2, 30
+    fits = {K: GaussianMixture.fit(y, K) for K in (1, 2, 3, 4)}
+    free = {K: (K - 1) + K * F + K * F * (F + 1) / 2 for K in fits}
+    criterion = {K: free[K] * np.log(M) - 2 * fits[K].log_prob(y).sum().item() for K in fits}
+    cheaper = {K: free[K] * 2 - 2 * fits[K].log_prob(y).sum().item() for K in fits}  # Akaike's
+    chosen = GaussianMixture.fit(y, "bic", max_components=4).n_components
+    assert chosen == min(criterion, key=criterion.get)
+    assert chosen != min(cheaper, key=cheaper.get)
 
 
 def test_bic_passes_over_numbers_of_components_that_do_not_fit(clusters, monkeypatch):

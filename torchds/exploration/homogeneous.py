@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +13,7 @@ from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.policy import GMRPolicy, chi_mean
 
-Rule = Literal["moment", "centre", "printed"]
+Rule = Literal["moment", "centre", "printed", "released"]
 
 
 class Homogeneous(Exploration):
@@ -35,6 +35,8 @@ class Homogeneous(Exploration):
             * "centre": |μ_{k,d}|, Eq. 15 literally, but at least a hundredth of the Gaussian's standard deviation.
             * "printed": Eq. 16-17 as printed, which divide A_{j,d} by μ_j in place of μ_d (the indices exchanged: in
               Eq. 14 A_{j,d} multiplies x_d); with the same floor, for as many outputs as inputs.
+            * "released": max(|μ_{k,d}|, 1), as the authors' program has it; there `mean_speed` is a ratio of the
+              current policy's speed |f(μ_k)| at each centre, and stiffness slopes get a fifth of what the rule gives.
         direction: `(O,)` relative size of the noise in each output direction (section 4.4), normalised so that the
             total variance stays the same; None for isotropic noise.
         mean_stiffness: desired mean absolute noise of each stiffness row at the centres [N/m]; the same rule for one
@@ -57,8 +59,8 @@ class Homogeneous(Exploration):
         for name, value in {"mean_speed": mean_speed, "mean_stiffness": mean_stiffness}.items():
             if not (math.isfinite(value) and value >= 0):
                 raise InvalidArgumentError(f"{name} has to be finite and ≥ 0, got {value}")
-        if rule not in ("moment", "centre", "printed"):
-            raise InvalidArgumentError(f"rule has to be 'moment', 'centre' or 'printed', got {rule!r}")
+        if rule not in get_args(Rule):
+            raise InvalidArgumentError(f"rule has to be one of {', '.join(map(repr, get_args(Rule)))}, got {rule!r}")
         if rule == "printed" and policy.output_dim != policy.input_dim:
             raise InvalidArgumentError(
                 f"rule='printed' pairs outputs with inputs; this policy has {policy.output_dim} and {policy.input_dim}"
@@ -80,12 +82,17 @@ class Homogeneous(Exploration):
         name_parameters(self.policy, parameters, type(self).__name__)
 
     def std(self) -> dict[str, Tensor]:
-        """The standard deviation of each parameter's noise by name, without batch: `(K, O, D)`, `(K, O)`, ..."""
+        """The standard deviation of each parameter's noise by name: `(K, O, D)`, `(K, O)`, ...
+
+        For the rule "released", that of the velocity has the policy's batch in front.
+        """
         policy = self.policy
         K, D, O, Q = policy.n_components, policy.input_dim, policy.output_dim, policy.stiffness_dim
         means, variances = policy.means, policy.covariances.diagonal(dim1=-2, dim2=-1)
         if self.rule == "moment":
             size = (means.square() + variances).sqrt()
+        elif self.rule == "released":
+            size = means.abs().clamp_min(1.0)
         else:
             size = torch.maximum(means.abs(), 0.01 * variances.sqrt())
         slope = 1.0 / size  # (K, D)
@@ -98,9 +105,15 @@ class Homogeneous(Exploration):
             axis = axis * (O / axis.square().sum()).sqrt()
         speed = axis * (self.mean_speed / chi_mean(O) / share)  # (O,)
         std = {"A": speed[:, None] * pattern, "b": speed.expand(K, O)}
+        if self.rule == "released":
+            centres = means.expand(*policy.batch_shape, K, D)
+            local = torch.linalg.vector_norm(policy(centres).detach(), dim=-1, keepdim=True)  # (*batch, K, 1)
+            std = {"A": local.unsqueeze(-1) * std["A"], "b": local * std["b"]}
         if Q:
-            s = self.mean_stiffness / chi_mean(1) / share
-            std |= {"stiffness_A": s * slope[:, None, :].expand(K, Q, D), "stiffness_b": means.new_full((K, Q), s)}
+            # One output row has a half-normal norm; the program takes the two-dimensional factor for all rows.
+            s = self.mean_stiffness / chi_mean(O if self.rule == "released" else 1) / share
+            steep = 0.2 * s if self.rule == "released" else s
+            std |= {"stiffness_A": steep * slope[:, None, :].expand(K, Q, D), "stiffness_b": means.new_full((K, Q), s)}
         return std
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:

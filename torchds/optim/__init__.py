@@ -3,7 +3,10 @@
 from torchds.optim import functional as functional
 from torchds.optim.base import PolicySearch as PolicySearch
 from torchds.optim.base import Update as Update
+from torchds.optim.pi2 import PI2 as PI2
 from torchds.optim.pibb import PIBB as PIBB
+from torchds.optim.schedules import ExponentialDecay as ExponentialDecay
 from torchds.optim.schedules import InverseIteration as InverseIteration
+from torchds.optim.schedules import LinearDecay as LinearDecay
 
-__all__ = ["PIBB", "InverseIteration", "PolicySearch", "Update", "functional"]
+__all__ = ["PI2", "PIBB", "ExponentialDecay", "InverseIteration", "LinearDecay", "PolicySearch", "Update", "functional"]

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from torchds.costs import control_cost
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration.base import Exploration
-from torchds.visits import Visit, listen
-
-Closure = Callable[[], Tensor]
+from torchds.optim.evaluation import Closure, Control, Trial, controls, evaluate
+from torchds.visits import Visit
 
 
 class Update(NamedTuple):
@@ -23,7 +21,7 @@ class Update(NamedTuple):
     Attributes:
         cost: `(N, *batch)` cost of each roll-out, control cost included; NaN or infinite where it failed.
         control: `(N, *batch)` the control cost in it.
-        weights: `(N, *batch)` of the first group.
+        weights: `(N, *batch)` of the first group; their mean over time where there is one per step.
         failed: `(N, *batch)` True for roll-outs whose cost was not finite.
     """
 
@@ -31,13 +29,6 @@ class Update(NamedTuple):
     control: Tensor
     weights: Tensor
     failed: Tensor
-
-
-class _Told(NamedTuple):
-    """Costs that were measured elsewhere, in the place of a closure."""
-
-    costs: Tensor
-    visits: Sequence[Visit]
 
 
 class PolicySearch(torch.optim.Optimizer):
@@ -55,7 +46,13 @@ class PolicySearch(torch.optim.Optimizer):
             False: it is called N times, for any module, simulator or robot, and returns `(*batch)`.
         generator: of the unit normals, on the CPU; None for a new one with a fixed seed.
         control_reference: what the control cost is measured from: "demonstrated" (Eq. 12-13) or "zero" (Eq. 11).
+        elite: what the first of the N roll-outs is: "none", a perturbed policy like the others; "nominal", the
+            unperturbed policy (footnote 3); "best", from the second step on, the cheapest policy tried so far, tried
+            again.
     """
+
+    costs_per_step = False
+    """Whether the closure returns a cost for every time step, and the update needs to know what was visited then."""
 
     def __init__(
         self,
@@ -67,12 +64,18 @@ class PolicySearch(torch.optim.Optimizer):
         batched: bool,
         generator: torch.Generator | None,
         control_reference: str,
+        elite: str,
     ) -> None:
         if n_rollouts < 1:
             raise InvalidArgumentError(f"n_rollouts has to be at least 1, got {n_rollouts}")
         if control_reference not in ("demonstrated", "zero"):
             raise InvalidArgumentError(f"control_reference is 'demonstrated' or 'zero', got {control_reference!r}")
+        if elite not in ("none", "nominal", "best"):
+            raise InvalidArgumentError(f"elite is 'none', 'nominal' or 'best', got {elite!r}")
+        if elite != "none" and n_rollouts < 2:
+            raise InvalidArgumentError(f"elite={elite!r} needs n_rollouts ≥ 2, got {n_rollouts}")
         self.n_rollouts = n_rollouts
+        self.elite = elite
         self.batched = batched
         self.control_reference = control_reference
         self.generator = generator if generator is not None else torch.Generator().manual_seed(0)
@@ -131,7 +134,7 @@ class PolicySearch(torch.optim.Optimizer):
 
     def __getstate__(self) -> dict[str, Any]:
         # The base keeps three entries only; copies need the generator and the explorations too.
-        mine = ("n_rollouts", "batched", "control_reference", "explorations", "last", "_default_exploration")
+        mine = ("n_rollouts", "elite", "batched", "control_reference", "explorations", "last", "_default_exploration")
         kept = {name: self.__dict__[name] for name in mine}
         return {**super().__getstate__(), **kept, "_generator_state": self.generator.get_state()}
 
@@ -146,12 +149,22 @@ class PolicySearch(torch.optim.Optimizer):
 
     if TYPE_CHECKING:  # torch's own signature knows closures of floats only
 
-        def step(self, closure: Closure | _Told | None = None) -> Tensor:  # type: ignore[override]
+        def step(self, closure: Closure | Trial | None = None) -> Tensor:  # type: ignore[override]
             """One update; every search has its own, since torch wraps it once per class for hooks."""
 
     @abstractmethod
-    def _update(self, group: dict[str, Any], noise: list[Tensor], cost: Tensor) -> Tensor:
-        """Change the parameters of one group and return the weights `(N, *batch)`."""
+    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+        """Change the parameters of one group.
+
+        Args:
+            group: the group.
+            noise: `(N, *shape)` for each of its parameters.
+            costs: what the closure returned, as a whole (see `Trial`).
+            control: Υ along the roll-outs; empty if the control weight is zero.
+
+        Returns:
+            The weights `(N, *batch)`.
+        """
 
     @torch.no_grad()
     def ask(self, normals: Sequence[Sequence[Tensor]] | None = None) -> Any:
@@ -189,21 +202,33 @@ class PolicySearch(torch.optim.Optimizer):
         """
         if not self._asked:
             raise InvalidArgumentError("tell(costs) finishes what ask() began; call ask() first")
-        return self.step(_Told(costs, visits))
+        dtype = self.param_groups[0]["params"][0].dtype
+        return self.step(Trial(costs if isinstance(costs, Tensor) else torch.as_tensor(costs, dtype=dtype), visits))
 
-    def _step(self, closure: Closure | _Told | None) -> Tensor:
+    def _step(self, closure: Closure | Trial | None) -> Tensor:
         """One update; the body of every subclass's `step`."""
         if closure is None:
             raise InvalidArgumentError("step needs a closure that returns the cost of the roll-outs")
         asked = self._asked
         if not asked:
             self._draw(None)
+        groups = [(group, [self.state[p]["noise"] for p in group["params"]]) for group in self.param_groups]
+        noise = {p: epsilon for group, all_ in groups for p, epsilon in zip(group["params"], all_, strict=True)}
         try:
-            cost, control = self._evaluate(closure)
+            trial = evaluate(closure, noise, self.n_rollouts, self.batched) if callable(closure) else closure
+            self._check_costs(trial.costs, noise)
+            weight = {p: float(group["control_weight"]) for group, _ in groups for p in group["params"]}
+            informed = self.costs_per_step or any(weight.values())
+            control = controls(trial.visits, noise, weight, self.control_reference) if informed else []
         except BaseException:
             if not asked:  # what ask() gave out stays valid, so that tell() can be tried again
                 self._forget()
             raise
+        cost = trial.costs.sum(-1) if self.costs_per_step else trial.costs
+        effort = torch.zeros_like(cost)
+        for part in control:
+            effort = effort + 0.5 * part.upsilon.flatten(cost.ndim).sum(-1)
+        cost = cost + effort
         failed = ~cost.isfinite()
         if failed.all():
             self._forget()
@@ -211,12 +236,37 @@ class PolicySearch(torch.optim.Optimizer):
                 f"all {cost.numel()} roll-outs had a cost that is not finite; the parameters are unchanged. Explore less "
                 "(lr, mean_speed), or bound the roll-outs"
             )
-        weights = [
-            self._update(group, [self.state[p]["noise"] for p in group["params"]], cost) for group in self.param_groups
-        ]
+        if self.elite == "best":
+            self._remember(cost, noise)
+        weights = [self._update(group, epsilons, trial.costs, control) for group, epsilons in groups]
         self._forget()
-        self.last = Update(cost, control, weights[0], failed)
+        self.last = Update(cost, effort, weights[0], failed)
         return torch.where(failed, 0.0, cost).sum(0) / (~failed).sum(0)
+
+    def _check_costs(self, costs: Tensor, noise: Mapping[nn.Parameter, Tensor]) -> None:
+        batch = tuple(costs.shape[1:-1] if self.costs_per_step else costs.shape[1:])
+        per_step = ", T" if self.costs_per_step else ""
+        if tuple(costs.shape[:1]) != (self.n_rollouts,) or any(p.shape[: len(batch)] != batch for p in noise):
+            raise InvalidArgumentError(
+                f"the closure has to return costs of shape ({self.n_rollouts}, *batch{per_step}) (or tell() to be given "
+                f"them), or of shape (*batch{per_step}) with batched=False, where *batch are the parameters' own leading "
+                f"batch dimensions, got {tuple(costs.shape)} for parameters of shapes {[tuple(p.shape) for p in noise]}; "
+                "for a module that does not broadcast over parameters use batched=False"
+            )
+
+    def _remember(self, cost: Tensor, noise: Mapping[nn.Parameter, Tensor]) -> None:
+        """Keep the cheapest parameters so far, of each run."""
+        first = next(iter(noise))
+        lowest, index = torch.where(cost.isfinite(), cost, torch.inf).min(0)
+        before = self.state[first].get("best_cost", torch.full_like(lowest, torch.inf))
+        better = lowest < before
+        self.state[first]["best_cost"] = torch.where(better, lowest, before)
+        for p, epsilon in noise.items():
+            trailing = (1,) * (p.ndim - index.ndim)
+            tried = p + epsilon.take_along_dim(index.reshape(1, *index.shape, *trailing), 0).squeeze(0)
+            self.state[p]["best"] = torch.where(
+                better.reshape(*better.shape, *trailing), tried, self.state[p].get("best", p)
+            )
 
     @property
     def _asked(self) -> bool:
@@ -247,101 +297,8 @@ class PolicySearch(torch.optim.Optimizer):
             noise = exploration(group["params"], [group["lr"] * z for z in unit])
             drawn += list(zip(group["params"], noise, strict=True))
         for p, epsilon in drawn:
+            if self.elite == "nominal":
+                epsilon[0] = 0.0
+            elif "best" in self.state[p]:
+                epsilon[0] = self.state[p]["best"] - p
             self.state[p]["noise"] = epsilon
-
-    # ------------------------------------------------------------------ evaluation
-
-    def _evaluate(self, closure: Closure | _Told) -> tuple[Tensor, Tensor]:
-        """Costs with control costs, and these alone, `(N, *batch)`; parameters are restored whatever the closure does."""
-        parameters = [p for group in self.param_groups for p in group["params"]]
-        center = {p: p.data for p in parameters}
-        noise: dict[nn.Parameter, Tensor] = {p: self.state[p]["noise"] for p in parameters}
-        if isinstance(closure, _Told):
-            return self._add_control(closure.costs, closure.visits, center, noise, (self.n_rollouts,))
-        try:
-            if self.batched:
-                return self._try(closure, center, noise, (self.n_rollouts,))
-            pairs = [
-                self._try(closure, center, {p: epsilon[n] for p, epsilon in noise.items()}, ())
-                for n in range(self.n_rollouts)
-            ]
-        finally:
-            for p, value in center.items():
-                p.data = value
-        return torch.stack([c for c, _ in pairs]), torch.stack([c for _, c in pairs])
-
-    def _try(
-        self,
-        closure: Closure,
-        center: dict[nn.Parameter, Tensor],
-        noise: dict[nn.Parameter, Tensor],
-        lead: tuple[int, ...],
-    ) -> tuple[Tensor, Tensor]:
-        for p, value in center.items():
-            p.data = value + noise[p]
-        with torch.no_grad(), listen() as visits:
-            costs = closure()
-        return self._add_control(costs, visits, center, noise, lead)
-
-    def _add_control(
-        self,
-        costs: Any,
-        visits: Sequence[Visit],
-        center: dict[nn.Parameter, Tensor],
-        noise: dict[nn.Parameter, Tensor],
-        lead: tuple[int, ...],
-    ) -> tuple[Tensor, Tensor]:
-        if not isinstance(costs, Tensor):  # plain numbers take the parameters' precision
-            costs = torch.as_tensor(costs, dtype=next(iter(center.values())).dtype)
-        self._check_costs(costs, lead, list(center.values()))
-        control = self._control(visits, center, noise, costs)
-        return costs + control, control
-
-    def _check_costs(self, costs: Tensor, lead: tuple[int, ...], parameters: list[Tensor]) -> None:
-        batch = tuple(costs.shape[len(lead) :])
-        if tuple(costs.shape[: len(lead)]) != lead or any(tuple(p.shape[: len(batch)]) != batch for p in parameters):
-            raise InvalidArgumentError(
-                f"the closure has to return costs of shape ({', '.join(map(str, lead))}{', ' if lead else ''}*batch) with "
-                f"the parameters' own leading batch dimensions, got {tuple(costs.shape)} for parameters of shapes "
-                f"{[tuple(p.shape) for p in parameters]}"
-                + ("; for a module that does not broadcast over parameters use batched=False" if lead else "")
-            )
-
-    def _control(
-        self,
-        visits: Sequence[Visit],
-        center: dict[nn.Parameter, Tensor],
-        noise: dict[nn.Parameter, Tensor],
-        costs: Tensor,
-    ) -> Tensor:
-        """½ Σ_t Υ_t (lines 16-17), summed over the points of every roll-out."""
-        weight = {p: group["control_weight"] for group in self.param_groups for p in group["params"]}
-        if not any(weight.values()):
-            return torch.zeros_like(costs)
-
-        def value_of(table: Mapping[nn.Parameter, Any], p: nn.Parameter, default: Tensor) -> Tensor:
-            return torch.as_tensor(table.get(p, default), dtype=p.dtype, device=p.device)
-
-        counted = False
-        total = torch.zeros_like(costs)
-        for policy, features in visits:
-            r = policy.rows(lambda p: value_of(weight, p, torch.zeros(())).expand_as(center.get(p, p)))
-            if not r.any():  # not one of the optimised policies, for example a reference
-                continue
-            counted = True
-            deviation = policy.rows(lambda p: value_of(center, p, p.data))
-            if self.control_reference == "demonstrated":
-                deviation = deviation - policy.initial_rows
-            epsilon = policy.rows(lambda p: value_of(noise, p, torch.zeros_like(p)))
-            n_points = features.ndim - costs.ndim - 2
-            for _ in range(n_points):
-                deviation, epsilon, r = (m.unsqueeze(-3) for m in (deviation, epsilon, r))
-            upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r)
-            total = total + 0.5 * upsilon.flatten(costs.ndim).sum(-1)
-        if not counted:
-            raise InvalidArgumentError(
-                "control_weight > 0 needs to know which features the roll-outs of the optimised policy visited: use "
-                "torchds.rollout in the closure, or call torchds.visits.report(policy, policy.features(x)) there, or give "
-                "visits to tell(), or set control_weight=0"
-            )
-        return total

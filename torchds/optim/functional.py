@@ -45,3 +45,39 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
         ratio = ratio.clamp(max=1.0)
     exponent = torch.where(above > 0, -eliteness * ratio, 0.0)
     return torch.nan_to_num(torch.softmax(torch.where(valid, exponent, -torch.inf), 0), nan=0.0)
+
+
+def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
+    """S_t = Σ_{j ≥ t} q_j + ½ Σ_{j > t} Υ_j `(..., T)`, infinite throughout a roll-out that failed anywhere.
+
+    Args:
+        costs: `(..., T)` costs per step, the terminal cost in the last.
+        upsilon: `(..., T)` Υ per step.
+    """
+    remaining = (costs + 0.5 * upsilon).flip(-1).cumsum(-1).flip(-1) - 0.5 * upsilon
+    return torch.where(remaining[..., :1].isfinite(), remaining, torch.inf)
+
+
+def time_averaged_update(
+    weights: Tensor, noise: Tensor, features: Tensor, gating: Tensor | None, projected: bool = True
+) -> Tensor:
+    """δθ `(*batch, O, F)` in rows: the updates of all steps, averaged with the weights T − t (times the gating).
+
+    With R = r I, M ε of an output row is g (g·ε)/|g|², so nothing larger than `(N, *batch, T, F)` is built.
+
+    Args:
+        weights: `(N, *batch, T)` P.
+        noise: `(N, *batch, O, F)` ε in rows.
+        features: `(N, *batch, T, F)` g.
+        gating: `(N, *batch, T, F)` activation of each feature's component, of which the mean over N counts; None for
+            the time alone.
+        projected: False averages ε in place of M ε.
+    """
+    T = features.shape[-2]
+    late = torch.arange(T, 0, -1, dtype=features.dtype, device=features.device).unsqueeze(-1)  # T − t, (T, 1)
+    share = late.expand(features.shape[1:]) if gating is None else late * gating.mean(0)  # (*batch, T, F)
+    share = share / share.sum(-2, keepdim=True).clamp_min(torch.finfo(share.dtype).tiny)
+    if not projected:
+        return ((weights.unsqueeze(-2) @ share) * noise).sum(0)
+    along = noise @ (features / features.square().sum(-1, keepdim=True)).mT  # (N, *batch, O, T): g·ε/|g|²
+    return ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)

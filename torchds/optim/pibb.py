@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
-from torchds.optim.base import Closure, PolicySearch
+from torchds.optim.base import PolicySearch
+from torchds.optim.evaluation import Closure, Control
 from torchds.optim.functional import Temperature, cost_weights
 
 
@@ -32,6 +33,7 @@ class PIBB(PolicySearch):
         control_weight: r of the control cost R = r I.
         control_reference: "demonstrated" penalises the distance from the demonstrated policy (Eq. 12-13), "zero" the
             parameters themselves (Eq. 11).
+        elite: what the first roll-out of a step is: "none", "nominal" or "best" (see `PolicySearch`).
         batched: whether one call of the closure evaluates all N (see `PolicySearch`).
         generator: of the noise, on the CPU; None for a new one with a fixed seed.
 
@@ -63,6 +65,7 @@ class PIBB(PolicySearch):
         temperature: Temperature = "range",
         control_weight: float = 0.0,
         control_reference: Literal["demonstrated", "zero"] = "demonstrated",
+        elite: Literal["none", "nominal", "best"] = "none",
         batched: bool = True,
         generator: torch.Generator | None = None,
     ) -> None:
@@ -80,6 +83,7 @@ class PIBB(PolicySearch):
             batched=batched,
             generator=generator,
             control_reference=control_reference,
+            elite=elite,
         )
 
     def _check_option(self, name: str, value: Any) -> None:
@@ -102,8 +106,9 @@ class PIBB(PolicySearch):
         """
         return self._step(closure)
 
-    def _update(self, group: dict[str, Any], noise: list[Tensor], cost: Tensor) -> Tensor:
-        weights = cost_weights(cost, group["eliteness"], group["temperature"])
+    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+        total = costs + sum(0.5 * part.upsilon.flatten(costs.ndim).sum(-1) for part in control)
+        weights = cost_weights(total, group["eliteness"], group["temperature"])
         for p, epsilon in zip(group["params"], noise, strict=True):
             p.add_((weights.reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim)) * epsilon).sum(0))
         return weights

@@ -8,6 +8,13 @@ from dataclasses import dataclass
 from torchds.errors import InvalidArgumentError
 
 
+def _check(n_updates: int, floor: float) -> None:
+    if not n_updates >= 1:
+        raise InvalidArgumentError(f"n_updates has to be at least 1, got {n_updates}")
+    if not 0 < floor <= 1:
+        raise InvalidArgumentError(f"floor has to be in (0, 1], got {floor}")
+
+
 @dataclass
 class InverseIteration:
     """lr factor sqrt(max(1/n, floor)) at the n-th update: line 11 of Algorithm 1.
@@ -24,9 +31,54 @@ class InverseIteration:
     floor: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0 < self.floor <= 1:
-            raise InvalidArgumentError(f"floor has to be in (0, 1], got {self.floor}")
+        _check(1, self.floor)
 
     def __call__(self, epoch: int) -> float:
         """The factor after `epoch` updates, for the update number epoch + 1."""
         return math.sqrt(max(1.0 / (epoch + 1), self.floor))
+
+
+@dataclass
+class LinearDecay:
+    """lr factor max((N − n)/N, floor) at the n-th of N updates: what the authors' program does to the standard deviation.
+
+    Args:
+        n_updates: N.
+        floor: the smallest factor, in (0, 1].
+
+    Raises:
+        InvalidArgumentError: a number or a floor out of its range.
+    """
+
+    n_updates: int
+    floor: float = 0.1
+
+    def __post_init__(self) -> None:
+        _check(self.n_updates, self.floor)
+
+    def __call__(self, epoch: int) -> float:
+        """The factor after `epoch` updates, for the update number epoch + 1."""
+        return max((self.n_updates - epoch - 1) / self.n_updates, self.floor)
+
+
+@dataclass
+class ExponentialDecay:
+    """lr factor floor^(epoch/N): falls evenly on a logarithmic scale to `floor` after N updates, and stays there.
+
+    Args:
+        n_updates: N.
+        floor: the last factor, in (0, 1].
+
+    Raises:
+        InvalidArgumentError: a number or a floor out of its range.
+    """
+
+    n_updates: int
+    floor: float = 0.03
+
+    def __post_init__(self) -> None:
+        _check(self.n_updates, self.floor)
+
+    def __call__(self, epoch: int) -> float:
+        """The factor after `epoch` updates, for the update number epoch + 1."""
+        return self.floor ** min(epoch / self.n_updates, 1.0)

@@ -156,7 +156,7 @@ def test_a_batch_of_policies_gets_the_noise_of_each():
         ({"mean_speed": -1.0}, "mean_speed has to be finite and ≥ 0, got -1.0"),
         ({"mean_speed": float("nan")}, "mean_speed has to be finite and ≥ 0, got nan"),
         ({"mean_stiffness": float("inf")}, "mean_stiffness has to be finite and ≥ 0, got inf"),
-        ({"rule": "center"}, "rule has to be 'moment', 'centre' or 'printed', got 'center'"),
+        ({"rule": "center"}, "rule has to be one of 'moment', 'centre', 'printed', 'released', got 'center'"),
         ({"O": 3, "rule": "printed"}, "rule='printed' pairs outputs with inputs; this policy has 3 and 2"),
         ({"direction": torch.ones(3)}, "direction has to be 2 numbers ≥ 0, one of them positive; got tensor"),
         ({"direction": torch.ones(1, 2)}, "direction has to be 2 numbers ≥ 0"),

@@ -1,6 +1,7 @@
 """PI^BB against Algorithm 1 in numpy, a loop of single runs, and arithmetic by hand."""
 
 import math
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,7 +110,7 @@ class Reference:
             x = x + DT * V[-1]
             X.append(x)
         via = sum(min(np.sum((p - x) ** 2) for x in X[1:]) for p in VIA.numpy())
-        running = sum(np.linalg.norm(b - a) for a, b in zip(V[:-1], V[1:], strict=True))
+        running = sum(np.linalg.norm(b - a) for a, b in pairwise(V))
         return via + np.sum((GOAL.numpy() - X[-1]) ** 2) + running + 0.5 * upsilon
 
     def update(self, n_iter, z, speed):
@@ -603,7 +604,12 @@ def test_normals_that_do_not_fit_are_refused_and_leave_nothing_behind():
             optim.ask(normals)
         with pytest.raises(InvalidArgumentError, match=r"call ask\(\) first"):
             optim.tell(torch.zeros(N))
-    optim.step(make_closure(policy))
+    tried = optim.ask()
+    with pytest.raises(InvalidArgumentError, match="group 1 needs normals"):
+        optim.ask([[A], [b[:-1]]])
+    optim.tell(torch.tensor([0.0] + [torch.nan] * (N - 1)))  # of what was asked before: all weight on the first
+    for p, trial in zip(policy.parameters(), tried, strict=True):
+        torch.testing.assert_close(p.data, trial[0], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -616,7 +622,7 @@ def test_normals_that_do_not_fit_are_refused_and_leave_nothing_behind():
             True,
             r"leading batch dimensions, got \(6, 3\) for parameters of shapes \[\(2, 2, 2\), \(2, 2\)\]",
         ),
-        (torch.zeros(6), False, r"costs of shape \(\*batch\).*got \(6,\)"),
+        (torch.zeros(6), False, r"shape \(\*batch\) with batched=False.*got \(6, 6\)"),
     ],
 )
 def test_costs_of_a_wrong_shape_are_refused(costs, batched, message):

@@ -1,0 +1,120 @@
+"""PI²: policy improvement with path integrals, averaged over time (section 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchds.errors import InvalidArgumentError
+from torchds.exploration.base import Exploration
+from torchds.optim.base import PolicySearch
+from torchds.optim.evaluation import Closure, Control
+from torchds.optim.functional import Temperature, cost_to_go, cost_weights, time_averaged_update
+
+
+class PI2(PolicySearch):
+    r"""The original PI² update: one update per time step, from the cost-to-go, averaged over time.
+
+    .. math:: δθ_t = \sum_r P_{t,r} M_{t,r} ε_r, \qquad P_{t,r} ∝ \exp(-h \frac{S_{t,r} - \min S_t}{\max S_t - \min S_t}),
+
+    with S_{t,r} the cost of roll-out r from step t on (the control cost from the step after it), and M the projection of
+    Algorithm 1, line 15. The updates of all steps are averaged with the weights T − t, of which the early steps, that
+    decide about more of the motion, get more; the paper compares this with `PIBB` in Fig. 3.
+
+    Args:
+        params: see `PIBB`; they belong to policies that are linear in features, as `GMRPolicy` is.
+        exploration: see `PIBB`.
+        n_rollouts: N, roll-outs per step.
+        lr: see `PIBB`.
+        eliteness: h.
+        temperature: see `functional.cost_weights`.
+        weighting: of the time average. "gating": T − t times the activation h_k(x_t) of the component that a parameter
+            belongs to, mean over the roll-outs; "time": T − t alone.
+        projected: False leaves M out.
+        control_weight: r of the control cost R = r I.
+        control_reference: see `PIBB`.
+        elite: see `PIBB`.
+        batched: see `PIBB`.
+        generator: see `PIBB`.
+
+    The closure of `step` returns costs per step, `(N, *batch, T)` (or `(*batch, T)` with batched=False), the terminal cost
+    in the last; it makes one roll-out of T steps from one start.
+
+    Raises:
+        InvalidArgumentError: an option out of its range; from `step`, costs or roll-outs that do not fit this form.
+        AllRolloutsFailedError: from `step`, if no roll-out has a finite cost.
+    """
+
+    costs_per_step = True
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        exploration: Exploration | None = None,
+        n_rollouts: int = 10,
+        lr: float = 1.0,
+        *,
+        eliteness: float = 10.0,
+        temperature: Temperature = "range",
+        weighting: Literal["gating", "time"] = "gating",
+        projected: bool = True,
+        control_weight: float = 0.0,
+        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
+        elite: Literal["none", "nominal", "best"] = "none",
+        batched: bool = True,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        defaults = {
+            "lr": lr,
+            "eliteness": eliteness,
+            "temperature": temperature,
+            "weighting": weighting,
+            "projected": projected,
+            "control_weight": control_weight,
+        }
+        super().__init__(
+            params,
+            exploration,
+            n_rollouts,
+            defaults,
+            batched=batched,
+            generator=generator,
+            control_reference=control_reference,
+            elite=elite,
+        )
+
+    def _check_option(self, name: str, value: Any) -> None:
+        super()._check_option(name, value)
+        if name == "weighting" and value not in ("gating", "time"):
+            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {value!r}")
+
+    @torch.no_grad()
+    def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]
+        """Try N perturbed parameters and move by the time average of the updates of all steps.
+
+        Args:
+            closure: returns the costs per step, the terminal cost in the last.
+
+        Returns:
+            `(*batch)` the mean cost of the roll-outs that did not fail.
+        """
+        return self._step(closure)
+
+    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+        part = control[0]
+        if len(control) != 1 or part.upsilon.shape != costs.shape:
+            raise InvalidArgumentError(
+                f"PI2 needs one roll-out from one start whose T steps are those of the costs {tuple(costs.shape)}; the "
+                f"closure made {len(control)}, the first of {tuple(part.upsilon.shape)} steps"
+            )
+        weights = cost_weights(cost_to_go(costs, part.upsilon), group["eliteness"], group["temperature"])
+        policy, features = part.visit
+        gating = policy.feature_gating(features) if group["weighting"] == "gating" else None
+        rows = time_averaged_update(weights, part.noise, features, gating, group["projected"])
+        update = policy.from_rows(rows)
+        for p in group["params"]:
+            p.add_(update[p])
+        return weights.mean(-1)

@@ -1,0 +1,39 @@
+"""How a motion moves when its parameters do: exact derivatives of a roll-out, forward in time."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchds.policy import GMRPolicy
+from torchds.rollouts import Rollout
+
+
+@torch.no_grad()
+def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
+    r"""The Jacobian of the reference positions with respect to θ, `(*batch, *points, T, D, P)` for the states 1..T.
+
+    Along x_{t+1} = x_t + f(x_t) dt with f = G_x θ (Eq. 4, 8),
+
+    .. math:: J_{t+1} = (I + dt\,∂f/∂x(x_t)) J_t + dt\,G_{x_t}, \qquad J_0 = 0.
+
+    Everything but this recursion is computed for all times at once. θ is in the order of `GMRPolicy.pack`.
+
+    Args:
+        policy: that made the roll-out.
+        path: its roll-out.
+    """
+    D = policy.input_dim
+    x = path.reference[..., :-1, :]
+    eye = torch.eye(D, dtype=x.dtype, device=x.device)
+    push = path.dt * policy.basis(x)[..., :D, :]  # (*batch, *points, T, D, P)
+    turn = eye + path.dt * policy.jacobian(x)[..., :D, :]  # (*batch, *points, T, D, D)
+    if path.resting is not None:
+        rests = path.resting[..., None, None]
+        push, turn = push.masked_fill(rests, 0.0), torch.where(rests, eye, turn)
+    J = push[..., 0, :, :]
+    steps = [J]
+    for t in range(1, x.shape[-2]):
+        J = turn[..., t, :, :] @ J + push[..., t, :, :]
+        steps.append(J)
+    return torch.stack(steps, -3)
