@@ -26,7 +26,10 @@ LADDER = [
     {"visits"},
     {"mixture", "demonstrations", "recordings", "costs"},
     {"policy"},
-    {"exploration", "rollouts"},
+    {"plants"},
+    {"impedance", "rollouts"},
+    {"sensitivity"},
+    {"exploration"},
     {"optim", "plotting"},
 ]
 

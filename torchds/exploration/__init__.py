@@ -3,5 +3,7 @@
 from torchds.exploration.base import Exploration as Exploration
 from torchds.exploration.gaussian import Gaussian as Gaussian
 from torchds.exploration.homogeneous import Homogeneous as Homogeneous
+from torchds.exploration.trajectory import Coordinates as Coordinates
+from torchds.exploration.trajectory import TrajectorySpace as TrajectorySpace
 
-__all__ = ["Exploration", "Gaussian", "Homogeneous"]
+__all__ = ["Coordinates", "Exploration", "Gaussian", "Homogeneous", "TrajectorySpace"]

@@ -1,4 +1,4 @@
-"""Noise that is homogeneous along the whole motion (beyond the paper's section 4.1)."""
+"""Noise that is homogeneous along the whole motion (beyond section 4.1)."""
 
 from __future__ import annotations
 
@@ -18,22 +18,54 @@ from torchds.sensitivity import sensitivity
 
 
 class Coordinates(NamedTuple):
-    """θ = center + factor z: coordinates in which every unit step moves the motion about equally.
+    """θ = center + factor z, for any other searcher: equal steps of z move the motion by comparable amounts.
 
     Attributes:
         center: `(*batch, P)` θ₀, in the order of `GMRPolicy.pack`.
-        factor: `(*batch, P, P)` L.
+        factor: `(*batch, P, P)` L, with the covariance L Lᵀ.
     """
 
     center: Tensor
     factor: Tensor
 
     def theta(self, z: Tensor) -> Tensor:
-        """The parameters at `z` `(*batch, P)`."""
+        """The parameters `(*batch, P)` at `z` `(*batch, P)`."""
         return self.center + (self.factor @ z.unsqueeze(-1)).squeeze(-1)
 
 
 class TrajectorySpace(Exploration):
+    r"""Correlated noise that moves every part of the motion by about the same distance.
+
+    `Homogeneous` makes the velocity noise equal at the centres; what becomes of it after a hundred steps differs by
+    orders of magnitude between directions of θ. Here the roll-out's Jacobian J = ∂(x_1 … x_T)/∂θ decides: with D the
+    homogeneous variances times `widening`², the covariance is
+
+    .. math:: C = (J^T J / (T\, spread^2) + D^{-1})^{-1},
+
+    wide where the motion does not feel a direction, narrow where it does. In the eigenvectors V of
+    D_1^{1/2} (JᵀJ/T) D_1^{1/2} (D_1 for `widening` 1, eigenvalues λ) that is one variance per direction, to which
+    `damping` adds a factor: directions that the motion does not feel at all would drift at random and are left alone,
+
+    .. math:: σ_i^2 = \frac{1}{λ_i / spread^2 + 1 / widening^2} \cdot \frac{λ_i}{λ_i + damping\, λ_{max}}.
+
+    J is exact and follows the policy as it changes. Where it is not finite (a diverging motion), the noise falls back to
+    the homogeneous one. docs/exploration.md derives this and says when it does not help.
+
+    Args:
+        policy: whose parameters are explored, all of them.
+        x0: `(*points, D)` the starts of the motion.
+        n_steps: T.
+        dt: time step [s].
+        spread: how far the motion may be moved, root mean square over time [position unit].
+        mean_speed: of the homogeneous noise behind D [velocity unit].
+        widening: how much wider than the homogeneous noise a direction may be.
+        damping: relative size, of the largest λ, below which a direction is left alone; 0 for the plain covariance.
+        refresh: updates between two evaluations of J.
+
+    Raises:
+        InvalidArgumentError: numbers out of range, or a group with only a part of the policy's parameters.
+    """
+
     def __init__(
         self,
         policy: GMRPolicy,
@@ -44,51 +76,77 @@ class TrajectorySpace(Exploration):
         *,
         mean_speed: float = 0.1,
         widening: float = 3.0,
-        damping: float = 1e-3,
+        damping: float = 1e-4,
         refresh: int = 1,
     ) -> None:
+        for name, value in {"spread": spread, "widening": widening, "mean_speed": mean_speed}.items():
+            if not (math.isfinite(value) and value > 0):
+                raise InvalidArgumentError(f"{name} has to be finite and positive, got {value}")
+        if not damping >= 0 or refresh < 1:
+            raise InvalidArgumentError(f"damping ≥ 0 and refresh ≥ 1 are needed, got {damping} and {refresh}")
         self.policy = policy
         self.x0, self.n_steps, self.dt = x0, n_steps, dt
         self.spread, self.widening, self.damping = spread, widening, damping
         self.refresh = refresh
-        self.prior = Homogeneous(policy, mean_speed)
+        self._homogeneous = Homogeneous(policy, mean_speed)
         self._age = 0
         self._factor: Tensor | None = None
 
-    @torch.no_grad()
-    def update(self) -> None:
-        policy = self.policy
-        path = rollout(policy, self.x0, self.n_steps, self.dt)
-        J = sensitivity(policy, path)
-        n_batch = len(policy.batch_shape)
-        J = J.flatten(n_batch, -2)  # (*batch, S·T·D, P)
-        n = J.shape[-2] // policy.input_dim
-        std = self._std()
-        scaled = J * std
-        M = scaled.mT @ scaled / n
-        finite = M.isfinite().all(-1).all(-1)[..., None, None]
-        M = torch.where(finite, M, torch.zeros_like(M))
-        lam, V = torch.linalg.eigh(M)
-        lam = lam.clamp_min(0)
-        var = 1 / (lam / self.spread**2 + 1 / self.widening**2)
-        if self.damping:
-            var = var * lam / (lam + self.damping * lam.amax(-1, keepdim=True)).clamp_min(1e-300)
-        var = torch.where(finite[..., 0], var, torch.ones_like(var))
-        self._factor = std[..., :, None] * V * var.sqrt().unsqueeze(-2)
-        self._age = 0
+    def check(self, parameters: Sequence[nn.Parameter]) -> None:
+        """Refuse a part of the policy's parameters, and those of others."""
+        names = name_parameters(self.policy, parameters, type(self).__name__)
+        if missing := {name for name, _ in self.policy.named_parameters()} - set(names):
+            raise InvalidArgumentError(
+                f"TrajectorySpace explores all parameters of a policy together, but {sorted(missing)} are not in the group"
+            )
 
-    def _std(self) -> Tensor:
-        std = self.prior.std()
-        names = {id(p): n for n, p in self.policy.named_parameters()}
-        return self.policy.pack(lambda p: std[names[id(p)]])
+    @property
+    def factor(self) -> Tensor:
+        """L `(*batch, P, P)`, the covariance's root in the order of `GMRPolicy.pack`; evaluated where it is due."""
+        if self._factor is None or self._age >= self.refresh:
+            self._factor, self._age = self._evaluate(), 0
+        return self._factor
+
+    @property
+    def covariance(self) -> Tensor:
+        """C `(*batch, P, P)` of unit normals."""
+        return self.factor @ self.factor.mT
+
+    def coordinates(self) -> Coordinates:
+        """The present parameters as the centre of coordinates in which other searchers may work."""
+        return Coordinates(self.policy.pack().detach().clone(), self.factor.clone())
+
+    @torch.no_grad()
+    def _evaluate(self) -> Tensor:
+        path = rollout(self.policy, self.x0, self.n_steps, self.dt)
+        J = sensitivity(self.policy, path).flatten(len(self.policy.batch_shape), -2)  # (*batch, points·T·D, P)
+        std = self._homogeneous.std()
+        names = {id(p): name for name, p in self.policy.named_parameters()}
+        unit = self.policy.pack(lambda p: std[names[id(p)]])  # (P,) or (*batch, P)
+        felt = J * unit.unsqueeze(-2)
+        metric = felt.mT @ felt / (J.shape[-2] / self.policy.input_dim)
+        good = metric.isfinite().all(-1).all(-1, keepdim=True)  # (*batch, 1)
+        values, vectors = torch.linalg.eigh(torch.where(good.unsqueeze(-1), metric, 0.0))
+        values = values.clamp_min(0.0)
+        variance = 1.0 / (values / self.spread**2 + self.widening**-2)
+        if self.damping:
+            largest = values.amax(-1, keepdim=True).clamp_min(torch.finfo(values.dtype).tiny)
+            variance = variance * values / (values + self.damping * largest)
+        variance = torch.where(good, variance, 1.0)  # no finite Jacobian: the homogeneous noise
+        return unit.unsqueeze(-1) * vectors * variance.sqrt().unsqueeze(-2)
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
-        if self._factor is None or self._age >= self.refresh:
-            self.update()
+        """L z, cut into the parameters."""
+        drawn = {id(p): z for p, z in zip(parameters, normals, strict=True)}
+        z = self.policy.pack(lambda p: drawn[id(p)])
+        noise = self.policy.split((self.factor @ z.unsqueeze(-1)).squeeze(-1))
         self._age += 1
-        table = {id(p): z for p, z in zip(parameters, normals, strict=True)}
-        z = self.policy.pack(lambda p: table[id(p)])
-        theta = (self._factor @ z.unsqueeze(-1)).squeeze(-1)
-        split = self.policy.split(theta)
-        names = {id(p): n for n, p in self.policy.named_parameters()}
-        return [split[names[id(p)]] for p in parameters]
+        return [noise[name] for name in name_parameters(self.policy, parameters, type(self).__name__)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The covariance in use and its age."""
+        return {"age": self._age, "factor": self._factor}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue with a stored covariance."""
+        self._age, self._factor = int(state["age"]), state["factor"]
