@@ -8,10 +8,11 @@ from typing import Any
 from tasks.base import Scene as Scene
 from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
+from tasks.two_starts import TwoStarts as TwoStarts
 from tasks.via_point import ViaPoint as ViaPoint
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
-TASKS: dict[str, type[Task]] = {"via_point": ViaPoint}
+TASKS: dict[str, type[Task]] = {"via_point": ViaPoint, "two_starts": TwoStarts}
 
 
 def make(name: str, **options: Any) -> Task:
@@ -29,4 +30,4 @@ def make(name: str, **options: Any) -> Task:
     return TASKS[name](**options)
 
 
-__all__ = ["TASKS", "Scene", "SearchSettings", "Task", "ViaPoint", "make"]
+__all__ = ["TASKS", "Scene", "SearchSettings", "Task", "TwoStarts", "ViaPoint", "make"]

@@ -7,13 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
 from torchds.errors import InvalidArgumentError
+from torchds.exploration.homogeneous import Rule
+from torchds.optim.functional import Temperature
 from torchds.recordings import load
 
 Convention = Literal["paper", "released"]
@@ -28,12 +30,22 @@ class SearchSettings:
         n_rollouts: N, roll-outs per update.
         control_weight: r of the control cost r I.
         mean_speed: of the homogeneous exploration [velocity unit of the task].
+        rule: of the homogeneous exploration.
+        spread: of the exploration along the motion [position unit of the task].
+        temperature: the spread of costs that scales the weights.
+        decay: of the exploration.
+        elite: what the first roll-out of an update is (see `PIBB`).
     """
 
-    n_updates: int
-    n_rollouts: int
-    control_weight: float
-    mean_speed: float
+    n_updates: int = 50
+    n_rollouts: int = 10
+    control_weight: float = 5e-4
+    mean_speed: float = 0.1
+    rule: Rule = "moment"
+    spread: float = 0.5
+    temperature: Temperature = "range"
+    decay: Literal["inverse", "linear", "exponential", "none"] = "inverse"
+    elite: Literal["none", "nominal", "best"] = "none"
 
 
 @dataclass(frozen=True)
@@ -101,6 +113,10 @@ class Task(ABC):
         """A new policy as learned from the demonstrations."""
 
     @abstractmethod
+    def motion(self) -> dict[str, Any]:
+        """`x0` `(*points, D)`, `n_steps` and `dt` [s] of the reference motion."""
+
+    @abstractmethod
     def rollout(self, policy: GMRPolicy) -> Rollout:
         """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
 
@@ -118,10 +134,22 @@ class Task(ABC):
 
     # ------------------------------------------------------------------ what follows from it
 
+    def needs_data(self) -> InvalidArgumentError:
+        """The error of a convention whose demonstrations the user has to bring."""
+        return InvalidArgumentError(
+            f"{self.name} with convention={self.convention!r} has no demonstrations of its own, theirs carry no licence; "
+            "give demonstrations=PATH or mixture=PATH"
+        )
+
     @cached_property
     def demonstrations(self) -> Demonstrations:
         """The demonstrations in use."""
         return self._demonstrations if self._demonstrations is not None else self.default_demonstrations()
+
+    @property
+    def source(self) -> Demonstrations | None:
+        """The demonstrations behind the policy; None where a mixture was given without any."""
+        return None if self._mixture is not None and self._demonstrations is None else self.demonstrations
 
     @cached_property
     def mixture(self) -> GaussianMixture:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 import tasks
 from train.options import ViaPointOptions
 from train.records import versions
-from train.searchers import make_decay, make_optimizer
+from train.searchers import make_closure, make_decay, make_optimizer
 
 
 @dataclass
@@ -37,10 +37,11 @@ class Benchmark:
         task = tasks.make("via_point")
         policy = task.policy().expand(runs)
         optim = make_optimizer(options, task, policy)
-        decay = make_decay(options, optim)
+        decay = make_decay(options, task, optim)
+        closure = make_closure(optim, task, policy)
         began = time.perf_counter()
         for _ in range(self.updates):
-            optim.step(lambda: task.cost(task.rollout(policy)))
+            optim.step(closure)
             decay.step()
             with torch.no_grad():
                 task.evaluate(policy)

@@ -36,10 +36,12 @@ def motion(task: Task, initial: GMRPolicy, policy: GMRPolicy, history: History) 
     order = torch.tensor(history.cost[-1]).argsort()
     typical = int(order[(len(order) - 1) // 2])
     draw_scene(before, task, initial, first.x, last.x)
-    plotting.demonstrations(before, task.demonstrations)
+    if task.source is not None:
+        plotting.demonstrations(before, task.source)
     plotting.gaussians(before, initial)
     plotting.trajectories(before, first.x, color=plotting.AFTER, label="imitated motion")
-    plotting.finish_map(before, f"Learned from {len(task.demonstrations)} demonstrations", task.scene().unit)
+    source = "a mixture" if task.source is None else f"{len(task.source)} demonstrations"
+    plotting.finish_map(before, f"Learned from {source}", task.scene().unit)
     draw_scene(after, task, policy[typical], first.x, last.x)
     plotting.trajectories(after, first.x, color=plotting.DEMONSTRATION, label="imitated motion", lw=1.6)
     if len(order) > 1:
@@ -53,9 +55,7 @@ def motion(task: Task, initial: GMRPolicy, policy: GMRPolicy, history: History) 
 def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor) -> None:
     """Limits, field and markers of a task."""
     scene = task.scene()
-    x, y = plotting.limits(
-        *tracks, *(d.x[:, :2] for d in task.demonstrations), *scene.via_points.values(), scene.starts
-    )
+    x, y = plotting.limits(*tracks, *(d.x[:, :2] for d in task.source or ()), *scene.via_points.values(), scene.starts)
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     plotting.field(axes, policy)

@@ -21,16 +21,23 @@ class RunOptions:
     """Policy updates; the task's own number if not given."""
     rollouts: int | None = None
     """Roll-outs per update; the task's own number if not given."""
-    optimizer: Literal["pibb"] = "pibb"
-    """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper."""
-    exploration: Literal["homogeneous", "gaussian"] = "homogeneous"
-    """Parameter noise. homogeneous: equal in task space (Eq. 14-18). gaussian: one standard deviation for all."""
+    optimizer: Literal["pibb", "pi2"] = "pibb"
+    """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper. pi2: averaged over time steps."""
+    exploration: Literal["homogeneous", "trajectory", "gaussian"] = "homogeneous"
+    """Parameter noise. homogeneous: equal in task space (Eq. 14-18). trajectory: equal along the motion. gaussian: one
+    standard deviation for all."""
     noise: float | None = None
-    """Size of the exploration: mean speed for homogeneous, standard deviation for gaussian; the task's own if not given."""
-    decay: Literal["inverse", "none"] = "inverse"
-    """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper."""
-    temperature: Literal["range", "median", "capped"] = "range"
-    """The spread of costs that scales the weights; range is the paper's."""
+    """Size of the exploration: mean speed (homogeneous), spread of the motion (trajectory), standard deviation
+    (gaussian); the task's own if not given."""
+    decay: Literal["inverse", "linear", "exponential", "none"] | None = None
+    """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper. linear: to a tenth, as the
+    authors' program. exponential: to 3 %. The task's own if not given, exponential with trajectory."""
+    temperature: Literal["range", "median", "capped"] | None = None
+    """The spread of costs that scales the weights. range: the paper's. median: the authors' program's. capped: range
+    after capping bad costs. The task's own if not given, capped with trajectory."""
+    elite: Literal["none", "nominal", "best"] | None = None
+    """What the first roll-out of an update is: a perturbed policy, the unperturbed one, or the best so far; the task's
+    own if not given."""
     convention: Literal["paper", "released"] = "paper"
     """The problem as the paper prints it, or as the authors' program runs it, where a task has both."""
     demonstrations: Path | None = None
@@ -71,4 +78,11 @@ class ViaPointOptions(RunOptions):
         return super().task_options() | {"shape": self.shape}
 
 
-TASK_OPTIONS: dict[str, type[RunOptions]] = {cls.task: cls for cls in (ViaPointOptions,)}
+@dataclass
+class TwoStartsOptions(RunOptions):
+    """Learn one policy for two starts, each with via-points of its own (section 3.3)."""
+
+    task: ClassVar[str] = "two_starts"
+
+
+TASK_OPTIONS: dict[str, type[RunOptions]] = {cls.task: cls for cls in (ViaPointOptions, TwoStartsOptions)}

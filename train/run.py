@@ -19,7 +19,8 @@ from torchds.optim import PolicySearch
 from train import figures
 from train.options import TASK_OPTIONS, RunOptions
 from train.records import History, median, results, save_checkpoint, table, write_json
-from train.searchers import make_decay, make_optimizer
+from train.searchers import make_closure, make_decay, make_optimizer
+from train.searchers import n_updates as count_updates
 
 CHECKPOINT = "checkpoint.pt"
 OPTIONS = "options.json"
@@ -82,12 +83,10 @@ def run(options: RunOptions) -> Path:
     initial = task.policy()
     policy = initial.expand(options.runs)
     optim = make_optimizer(options, task, policy)
-    decay = make_decay(options, optim)
-    n_updates = task.search.n_updates if options.updates is None else options.updates
+    decay = make_decay(options, task, optim)
+    closure = make_closure(optim, task, policy)
+    n_updates = count_updates(options, task)
     history = History()
-
-    def closure() -> torch.Tensor:
-        return task.cost(task.rollout(policy))
 
     if folder is None:
         folder = new_folder(options)

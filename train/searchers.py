@@ -1,13 +1,16 @@
-"""Optimizers and explorations by the names that the commands know."""
+"""Optimizers, explorations and decays by the names that the commands know."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
+from torch import Tensor
 
 from tasks import Task
 from torchds import GMRPolicy
-from torchds.exploration import Exploration, Gaussian, Homogeneous
-from torchds.optim import PIBB, InverseIteration, PolicySearch
+from torchds.exploration import Exploration, Gaussian, Homogeneous, TrajectorySpace
+from torchds.optim import PI2, PIBB, ExponentialDecay, InverseIteration, LinearDecay, PolicySearch
 from train.options import RunOptions
 
 GAUSSIAN_STD = 0.01  # when --noise is not given
@@ -17,23 +20,47 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
     """The exploration that `--exploration` and `--noise` name."""
     if options.exploration == "gaussian":
         return Gaussian(GAUSSIAN_STD if options.noise is None else options.noise)
-    return Homogeneous(policy, task.search.mean_speed if options.noise is None else options.noise)
+    if options.exploration == "trajectory":
+        spread = task.search.spread if options.noise is None else options.noise
+        return TrajectorySpace(policy, **task.motion(), spread=spread, mean_speed=task.search.mean_speed)
+    mean_speed = task.search.mean_speed if options.noise is None else options.noise
+    return Homogeneous(policy, mean_speed, task.search.rule)
 
 
 def make_optimizer(options: RunOptions, task: Task, policy: GMRPolicy) -> PolicySearch:
     """The optimizer that `--optimizer` names."""
-    return PIBB(
+    cls = {"pibb": PIBB, "pi2": PI2}[options.optimizer]
+    along = options.exploration == "trajectory"
+    return cls(
         policy.parameters(),
         exploration=make_exploration(options, task, policy),
         n_rollouts=task.search.n_rollouts if options.rollouts is None else options.rollouts,
-        temperature=options.temperature,
+        temperature=options.temperature or ("capped" if along else task.search.temperature),
+        elite=options.elite or task.search.elite,
         control_weight=task.search.control_weight,
         generator=torch.Generator().manual_seed(options.seed),
     )
 
 
-def make_decay(options: RunOptions, optim: torch.optim.Optimizer) -> torch.optim.lr_scheduler.LRScheduler:
+def make_closure(optim: torch.optim.Optimizer, task: Task, policy: GMRPolicy) -> Callable[[], Tensor]:
+    """One trial, and its cost in the form that the optimizer takes."""
+    cost = task.step_costs if getattr(optim, "costs_per_step", False) else task.cost
+    return lambda: cost(task.rollout(policy))
+
+
+def n_updates(options: RunOptions, task: Task) -> int:
+    """The number of updates that `--updates` or the task says."""
+    return task.search.n_updates if options.updates is None else options.updates
+
+
+def make_decay(options: RunOptions, task: Task, optim: torch.optim.Optimizer) -> torch.optim.lr_scheduler.LRScheduler:
     """The scheduler that `--decay` names."""
-    if options.decay == "none":
-        return torch.optim.lr_scheduler.ConstantLR(optim, factor=1.0)
-    return torch.optim.lr_scheduler.LambdaLR(optim, InverseIteration(floor=0.1))
+    n = max(n_updates(options, task), 1)
+    factors: dict[str, Callable[[int], float]] = {
+        "inverse": InverseIteration(floor=0.1),
+        "linear": LinearDecay(n),
+        "exponential": ExponentialDecay(n, floor=0.03),
+        "none": ExponentialDecay(n, floor=1.0),
+    }
+    name = options.decay or ("exponential" if options.exploration == "trajectory" else task.search.decay)
+    return torch.optim.lr_scheduler.LambdaLR(optim, factors[name])
