@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
-import torch
 from tqdm import tqdm
 
-import tasks
+from train.learning import Learner
 from train.options import ViaPointOptions
 from train.records import versions
-from train.searchers import make_closure, make_decay, make_optimizer
 
 
 @dataclass
@@ -33,16 +30,5 @@ class Benchmark:
 
     def seconds(self, runs: int) -> float:
         """Wall time of learning, without the EM fit before it."""
-        options = ViaPointOptions(runs=runs)
-        task = tasks.make("via_point")
-        policy = task.policy().expand(runs)
-        optim = make_optimizer(options, task, policy)
-        decay = make_decay(options, task, optim)
-        closure = make_closure(optim, task, policy)
-        began = time.perf_counter()
-        for _ in range(self.updates):
-            optim.step(closure)
-            decay.step()
-            with torch.no_grad():
-                task.evaluate(policy)
-        return time.perf_counter() - began
+        learner = Learner(ViaPointOptions(runs=runs, updates=self.updates))
+        return learner.learn().history.seconds

@@ -12,44 +12,51 @@ from matplotlib.figure import Figure
 
 from tasks import Task
 from torchds import GMRPolicy, plotting
+from train.learning import Learner
 from train.records import History
 
 
-def of_run(task: Task, initial: GMRPolicy, policy: GMRPolicy, history: History) -> dict[str, Figure]:
-    """All figures of a finished run, by name.
+def of_run(learner: Learner) -> dict[str, Figure]:
+    """All figures of a finished run, by name."""
+    return {"motion": motion(learner), "learning_curves": curves(learner.history)}
 
-    Args:
-        task: what was learned.
-        initial: the imitated policy.
-        policy: the learned policies, batch_shape (runs,).
-        history: costs of the runs.
-    """
-    return {"motion": motion(task, initial, policy, history), "learning_curves": curves(history)}
+
+def motion(learner: Learner) -> Figure:
+    """Figs 1 and 2: the imitated field, and the learned one."""
+    figure = Figure(figsize=(12.5, 6), layout="constrained")
+    before, after = figure.subplots(1, 2)
+    draw_imitated(before, learner.task, learner.initial)
+    draw_learned(after, learner)
+    return figure
 
 
 @torch.no_grad()
-def motion(task: Task, initial: GMRPolicy, policy: GMRPolicy, history: History) -> Figure:
-    """Figs 1 and 2: the imitated field, and the learned one of the run with the median cost."""
-    figure = Figure(figsize=(12.5, 6), layout="constrained")
-    before, after = figure.subplots(1, 2)
-    first, last = task.rollout(initial), task.rollout(policy)
+def draw_imitated(axes: Axes, task: Task, policy: GMRPolicy) -> None:
+    """What was learned from demonstrations: field, Gaussians and motion (Fig. 1)."""
+    path = task.rollout(policy)
+    draw_scene(axes, task, policy, path.x)
+    if task.source is not None:
+        plotting.demonstrations(axes, task.source)
+    plotting.gaussians(axes, policy)
+    plotting.trajectories(axes, path.x, color=plotting.AFTER, label="imitated motion")
+    source = "a mixture" if task.source is None else f"{len(task.source)} demonstrations"
+    plotting.finish_map(axes, f"Learned from {source}", task.scene().unit)
+
+
+@torch.no_grad()
+def draw_learned(axes: Axes, learner: Learner) -> None:
+    """What was learned by trial: the field of the run with the median cost, and the motions of all (Fig. 2)."""
+    task, history = learner.task, learner.history
+    first, last = task.rollout(learner.initial), task.rollout(learner.policy)
     order = torch.tensor(history.cost[-1]).argsort()
     typical = int(order[(len(order) - 1) // 2])
-    draw_scene(before, task, initial, first.x, last.x)
-    if task.source is not None:
-        plotting.demonstrations(before, task.source)
-    plotting.gaussians(before, initial)
-    plotting.trajectories(before, first.x, color=plotting.AFTER, label="imitated motion")
-    source = "a mixture" if task.source is None else f"{len(task.source)} demonstrations"
-    plotting.finish_map(before, f"Learned from {source}", task.scene().unit)
-    draw_scene(after, task, policy[typical], first.x, last.x)
-    plotting.trajectories(after, first.x, color=plotting.DEMONSTRATION, label="imitated motion", lw=1.6)
+    draw_scene(axes, task, learner.policy[typical], first.x, last.x)
+    plotting.trajectories(axes, first.x, color=plotting.DEMONSTRATION, label="imitated motion", lw=1.6)
     if len(order) > 1:
-        plotting.trajectories(after, last.x, color=plotting.AFTER, label=f"all {len(order)} runs", lw=0.7, alpha=0.35)
+        plotting.trajectories(axes, last.x, color=plotting.AFTER, label=f"all {len(order)} runs", lw=0.7, alpha=0.35)
     label = "learned motion" if len(order) == 1 else "learned motion (median run)"
-    plotting.trajectories(after, last.x[typical], color=plotting.AFTER, label=label)
-    plotting.finish_map(after, f"After {history.rollouts[-1]} roll-outs", task.scene().unit)
-    return figure
+    plotting.trajectories(axes, last.x[typical], color=plotting.AFTER, label=label)
+    plotting.finish_map(axes, f"After {history.rollouts[-1]} roll-outs", task.scene().unit)
 
 
 def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor) -> None:
@@ -65,8 +72,12 @@ def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor)
 def curves(history: History) -> Figure:
     """Learning curves by term (Fig. 2, right)."""
     figure = Figure(figsize=(7, 5), layout="constrained")
-    axes = figure.subplots()
+    draw_curves(figure.subplots(), history)
+    return figure
+
+
+def draw_curves(axes: Axes, history: History) -> None:
+    """All terms and their sum, median and quartiles over runs."""
     plotting.learning_curves(axes, history.rollouts, {"total": history.cost, **history.terms})
     n = len(history.cost[0])
     axes.set_title("Learning curve" if n == 1 else f"Learning curves: median and quartiles of {n} runs")
-    return figure

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-import tasks
 from torchds.errors import InvalidArgumentError
-from torchds.optim import PolicySearch
 from train import figures
+from train.learning import Learner
 from train.options import TASK_OPTIONS, RunOptions
-from train.records import History, median, results, save_checkpoint, table, write_json
-from train.searchers import make_closure, make_decay, make_optimizer
-from train.searchers import n_updates as count_updates
+from train.records import median, results, save_checkpoint, table, write_json
 
 CHECKPOINT = "checkpoint.pt"
 OPTIONS = "options.json"
@@ -79,74 +74,51 @@ def run(options: RunOptions) -> Path:
     folder = options.resume
     options = resume_options(folder) if folder is not None else options
     check(options)
-    task = tasks.make(options.task, **options.task_options())
-    initial = task.policy()
-    policy = initial.expand(options.runs)
-    optim = make_optimizer(options, task, policy)
-    decay = make_decay(options, task, optim)
-    closure = make_closure(optim, task, policy)
-    n_updates = count_updates(options, task)
-    history = History()
-
+    learner = Learner(options)
     if folder is None:
         folder = new_folder(options)
         write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
     elif (folder / CHECKPOINT).is_file():
-        saved = torch.load(folder / CHECKPOINT, weights_only=True)
-        policy.load_state_dict(saved["policy"])
-        optim.load_state_dict(saved["optimizer"])
-        decay.load_state_dict(saved["decay"])
-        history = History(**saved["history"])
-    done = max(len(history.cost) - 1, 0)
+        learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
     print(f"{options.task}: {options.runs} run(s), logs in {folder}")
-
-    with SummaryWriter(str(folder), purge_step=done) as writer:
-        if not history.cost:
-            _, terms = evaluate(task, policy)
-            history.add(0, terms, failed=0)
-            log(writer, 0, history, optim, options, seconds=0.0)
-        bar = tqdm(range(done, n_updates), initial=done, total=n_updates, unit="update", dynamic_ncols=True)
+    with SummaryWriter(str(folder), purge_step=learner.done) as writer:
+        if not learner.history.cost:
+            learner.start()
+            log(writer, learner, seconds=0.0)
+        bar = tqdm(initial=learner.done, total=learner.n_updates, unit="update", dynamic_ncols=True)
         try:
-            for update in bar:
-                began = time.perf_counter()
-                optim.step(closure)
-                decay.step()
-                _, terms = evaluate(task, policy)
-                failed = int(optim.last.failed.sum()) if optim.last else 0
-                history.add(history.rollouts[-1] + optim.n_rollouts, terms, failed)
-                seconds = time.perf_counter() - began
-                history.seconds += seconds
-                log(writer, update + 1, history, optim, options, seconds)
-                content: dict[str, Any] = {"policy": policy, "optimizer": optim, "decay": decay}
-                states = {name: thing.state_dict() for name, thing in content.items()}
-                save_checkpoint(folder / CHECKPOINT, states | {"history": asdict(history)})
-                bar.set_postfix_str(f"cost {median(history.cost[-1]):.4g}")
+            while learner.done < learner.n_updates:
+                seconds = learner.update()
+                log(writer, learner, seconds)
+                save_checkpoint(folder / CHECKPOINT, learner.state_dict())
+                bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
+                bar.update()
         except KeyboardInterrupt:
             raise Interrupted(f"stopped; continue with: python -m train {options.task} --resume {folder}") from None
         finally:
             bar.close()
-        write_json(folder / RESULTS, results(options.task, options.to_json(), history))
-        save_checkpoint(folder / "policy.pt", policy.state_dict())
-        for name, figure in figures.of_run(task, initial, policy, history).items():
-            figure.savefig(folder / f"{name}.png", dpi=130)
-            writer.add_figure(name, figure, n_updates)
-        hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
-        writer.add_hparams(hparams, {"hparam/final_cost_median": median(history.cost[-1])}, run_name=".")
+        finish(folder, writer, learner)
+    history = learner.history
     print(table(history))
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder}")
     return folder
 
 
-@torch.no_grad()
-def evaluate(task: tasks.Task, policy: Any) -> Any:
-    """A noise-free trial."""
-    return task.evaluate(policy)
+def finish(folder: Path, writer: SummaryWriter, learner: Learner) -> None:
+    """Write results, policies, figures and hyper-parameters."""
+    options, history = learner.options, learner.history
+    write_json(folder / RESULTS, results(options.task, options.to_json(), history))
+    save_checkpoint(folder / "policy.pt", learner.policy.state_dict())
+    for name, figure in figures.of_run(learner).items():
+        figure.savefig(folder / f"{name}.png", dpi=130)
+        writer.add_figure(name, figure, learner.n_updates)
+    hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
+    writer.add_hparams(hparams, {"hparam/final_cost_median": median(history.cost[-1])}, run_name=".")
 
 
-def log(
-    writer: SummaryWriter, update: int, history: History, optim: PolicySearch, options: RunOptions, seconds: float
-) -> None:
+def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
+    history, optim, update = learner.history, learner.optim, learner.done
     quantiles = np.quantile(history.cost[-1], [0.25, 0.5, 0.75])
     for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quantiles, strict=True):
         writer.add_scalar(name, value, update)

@@ -1,0 +1,85 @@
+"""A learning run as an object: what is learned, what learns it, and what it has cost so far."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import torch
+
+import tasks
+from torchds import Rollout
+from train.options import RunOptions
+from train.records import History
+from train.searchers import make_closure, make_decay, make_optimizer, n_updates
+
+
+class Learner:
+    """Task, policies, optimizer and decay that a set of options names; `runs` policies learn in one batch.
+
+    Args:
+        options: the options.
+        task: in place of the one that the options name.
+    """
+
+    def __init__(self, options: RunOptions, task: tasks.Task | None = None) -> None:
+        self.options = options
+        self.task = task if task is not None else tasks.make(options.task, **options.task_options())
+        self.initial = self.task.policy()
+        self.policy = self.initial.expand(options.runs)
+        self.optim = make_optimizer(options, self.task, self.policy)
+        self.decay = make_decay(options, self.task, self.optim)
+        self.closure = make_closure(self.optim, self.task, self.policy)
+        self.n_updates = n_updates(options, self.task)
+        self.history = History()
+
+    @property
+    def done(self) -> int:
+        """Updates made so far."""
+        return max(len(self.history.cost) - 1, 0)
+
+    def start(self) -> None:
+        """Evaluate the initial policy, once."""
+        if not self.history.cost:
+            self.history.add(0, self.evaluate()[1], failed=0)
+
+    def update(self) -> float:
+        """One update and a noise-free evaluation; returns the seconds it took."""
+        began = time.perf_counter()
+        self.optim.step(self.closure)
+        self.decay.step()
+        failed = int(self.optim.last.failed.sum()) if self.optim.last else 0
+        self.history.add(self.history.rollouts[-1] + self.optim.n_rollouts, self.evaluate()[1], failed)
+        seconds = time.perf_counter() - began
+        self.history.seconds += seconds
+        return seconds
+
+    def learn(self) -> Learner:
+        """All updates at once, with nothing written."""
+        self.start()
+        while self.done < self.n_updates:
+            self.update()
+        return self
+
+    @torch.no_grad()
+    def evaluate(self) -> tuple[Rollout, dict[str, torch.Tensor]]:
+        """A noise-free trial of the present policies and its cost terms."""
+        return self.task.evaluate(self.policy)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that a checkpoint needs to continue bit for bit."""
+        return {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.optim.state_dict(),
+            "decay": self.decay.state_dict(),
+            "history": asdict(self.history),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self.policy.load_state_dict(state["policy"])
+        self.optim.load_state_dict(state["optimizer"])
+        self.decay.load_state_dict(state["decay"])
+        self.history = History(**state["history"])
