@@ -1,4 +1,4 @@
-"""`python -m train <command> [options]`: learn a task, or measure the speed of the library."""
+"""`python -m train <command> [options]`: learn a task, make the paper's figures, or measure the speed."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ import tyro
 
 from torchds.errors import TorchdsError
 from train import benchmark
-from train.options import TASK_OPTIONS
+from train.options import TASK_OPTIONS, RunOptions
+from train.paper import Figures
 from train.run import Interrupted, run
 
 
 def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
-    commands: dict[str, Callable[..., Any]] = {**TASK_OPTIONS, "benchmark": benchmark.Benchmark}
+    commands: dict[str, Callable[..., Any]] = {**TASK_OPTIONS, "figures": Figures, "benchmark": benchmark.Benchmark}
     options: Any = tyro.extras.subcommand_cli_from_dict(
         commands, prog="python -m train", description=__doc__, config=(tyro.conf.FlagConversionOff,)
     )
     torch.set_num_threads(1)  # small tensors: a second thread costs more than it gives, and results depend on one only
     try:
-        options.main() if isinstance(options, benchmark.Benchmark) else run(options)
+        run(options) if isinstance(options, RunOptions) else options.main()
     except TorchdsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

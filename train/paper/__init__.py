@@ -1,0 +1,55 @@
+"""The figures of the paper, made again: `python -m train figures`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from torchds.errors import InvalidArgumentError
+from train.paper import learning, shaping
+from train.paper.base import Made
+
+FIGURES: dict[int, Callable[[int, int], Made]] = {
+    1: learning.figure_1,
+    2: learning.figure_2,
+    3: learning.figure_3,
+    4: learning.figure_4,
+    5: shaping.figure_5,
+}
+
+
+@dataclass
+class Figures:
+    """Make figures of the paper again, with a caption file of measured statistics beside each."""
+
+    figure: tuple[int, ...] = tuple(FIGURES)
+    """Numbers of the figures to make, as in the paper."""
+    runs: int = 20
+    """Learning runs behind a statistic."""
+    seed: int = 0
+    """Seed of the exploration noise."""
+    logdir: Path = Path("logs")
+    """Where to write: LOGDIR/figures/."""
+
+    def main(self) -> None:
+        """Make the figures.
+
+        Raises:
+            InvalidArgumentError: a number that is not among the figures.
+        """
+        if strangers := sorted(set(self.figure) - set(FIGURES)):
+            raise InvalidArgumentError(
+                f"no figure {', '.join(map(str, strangers))}; there are {', '.join(map(str, FIGURES))}"
+            )
+        folder = self.logdir / "figures"
+        folder.mkdir(parents=True, exist_ok=True)
+        print(f"figures in {folder}")
+        for number in tqdm(self.figure, desc="figures", unit="figure", dynamic_ncols=True):
+            made = FIGURES[number](self.runs, self.seed)
+            made.figure.savefig(folder / f"figure-{number}.png", dpi=130)
+            command = f"python -m train figures --figure {number} --runs {self.runs} --seed {self.seed}"
+            text = f"# Figure {number}\n\n{made.caption.strip()}\n\nMade by `{command}`.\n"
+            (folder / f"figure-{number}.md").write_text(text)
