@@ -80,13 +80,13 @@ def markers(axes: Axes, starts: Tensor, goal: Tensor, via_points: Mapping[str, T
 
 
 def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("x1", "x2")) -> None:
-    """Equal aspect, axis labels with the unit, title and legend of a map."""
+    """Equal aspect, axis labels with the unit, title, and the legend below the map."""
     axes.set_aspect("equal")
     suffix = f" [{unit}]" if unit else ""
     axes.set_xlabel(names[0] + suffix)
     axes.set_ylabel(names[1] + suffix)
     axes.set_title(title)
-    axes.legend(fontsize=8, loc="best", framealpha=0.85)
+    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False)
 
 
 def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, Any], *, total: str = "total") -> None:

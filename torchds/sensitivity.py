@@ -31,9 +31,9 @@ def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
     if path.resting is not None:
         rests = path.resting[..., None, None]
         push, turn = push.masked_fill(rests, 0.0), torch.where(rests, eye, turn)
-    J = push[..., 0, :, :]
-    steps = [J]
-    for t in range(1, x.shape[-2]):
-        J = turn[..., t, :, :] @ J + push[..., t, :, :]
-        steps.append(J)
-    return torch.stack(steps, -3)
+    lead = x.shape[:-2]
+    pushes, turns = push.reshape(-1, *push.shape[-3:]).unbind(-3), turn.reshape(-1, *turn.shape[-3:]).unbind(-3)
+    steps = [pushes[0]]
+    for F, B in zip(turns[1:], pushes[1:], strict=True):
+        steps.append(torch.baddbmm(B, F, steps[-1]))
+    return torch.stack(steps, -3).reshape(*lead, *push.shape[-3:])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import statistics
+import time
 from dataclasses import dataclass
 
 from tqdm import tqdm
 
+from torchds.exploration import TrajectorySpace
 from train.learning import Learner
 from train.options import ViaPointOptions
 from train.records import versions
@@ -13,7 +16,7 @@ from train.records import versions
 
 @dataclass
 class Benchmark:
-    """Time batched learning of the N-shape on one core: 50 updates, with a noise-free evaluation after each."""
+    """Time learning of the N-shape on one core: 20 runs in a batch, one run, and the exploration along the motion."""
 
     repeats: int = 5
     """How often each is timed; the median is printed."""
@@ -25,8 +28,28 @@ class Benchmark:
         rows = {runs: [self.seconds(runs) for _ in tqdm(range(self.repeats), desc=f"{runs} runs")] for runs in (20, 1)}
         print(", ".join(f"{name} {value}" for name, value in versions().items()))
         for runs, times in rows.items():
-            median = sorted(times)[len(times) // 2]
+            median = statistics.median(times)
             print(f"{runs:3d} runs x {self.updates} updates: median {median:.2f} s, min {min(times):.2f} s (one core)")
+        for runs in (20, 1):
+            refresh, rollouts = self.refresh(runs)
+            print(
+                f"{runs:3d} runs: TrajectorySpace refreshes in {1e3 * refresh:.1f} ms; the ten roll-outs it serves, with cost "
+                f"and update, take {1e3 * rollouts:.1f} ms (medians)"
+            )
+
+    def refresh(self, runs: int) -> tuple[float, float]:
+        """Median seconds of one evaluation of the covariance, and of one update with homogeneous noise."""
+        learner = Learner(ViaPointOptions(runs=runs, updates=self.updates))
+        along = TrajectorySpace(learner.policy, **learner.task.motion(), spread=0.5)
+        times: tuple[list[float], list[float]] = ([], [])
+        for _ in range(4 * self.repeats):
+            for column, call in zip(
+                times, (along.refresh_now, lambda: learner.optim.step(learner.closure)), strict=True
+            ):
+                began = time.perf_counter()
+                call()
+                column.append(time.perf_counter() - began)
+        return statistics.median(times[0]), statistics.median(times[1])
 
     def seconds(self, runs: int) -> float:
         """Wall time of learning, without the EM fit before it."""

@@ -104,7 +104,12 @@ class TrajectorySpace(Exploration):
     def factor(self) -> Tensor:
         """L `(*batch, P, P)`, the covariance's root in the order of `GMRPolicy.pack`; evaluated where it is due."""
         if self._factor is None or self._age >= self.refresh:
-            self._factor, self._age = self._evaluate(), 0
+            return self.refresh_now()
+        return self._factor
+
+    def refresh_now(self) -> Tensor:
+        """Evaluate the covariance at the present parameters, due or not, and return its root."""
+        self._factor, self._age = self._evaluate(), 0
         return self._factor
 
     @property

@@ -62,7 +62,7 @@ def figure_5(runs: int, seed: int) -> Made:
         points = torch.from_numpy(np.stack(np.meshgrid(xs, ys), -1))
         values = velocity_noise(policy, covariance, points) / desired
         image = upper.pcolormesh(xs, ys, values.numpy(), cmap="viridis", shading="gouraud", vmin=0, vmax=values.max())
-        figure.colorbar(image, ax=upper, label="mean norm of the velocity noise / desired")
+        figure.colorbar(image, ax=upper, shrink=0.8, label="mean norm of the velocity noise / desired")
         plotting.gaussians(upper, policy)
         plotting.trajectories(upper, path, color="white", label="imitated motion")
         plotting.finish_map(upper, title, task.scene().unit)
