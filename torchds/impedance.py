@@ -24,14 +24,14 @@ class ImpedanceControlled:
             * "implicit": Eq. 33 as printed, u_t = S (x^ref_{t−1} − x_t) + D (v^ref_{t−1} − v_t) with x_t, v_t the state
               that u_t leads to, solved exactly (S and D are diagonal).
             * "explicit": as the authors' program has it, with the new reference and the state before the step.
-        low: smallest stiffness that is applied [N/m].
-        high: largest stiffness that is applied [N/m].
+        low: smallest stiffness of the policy's that is applied [N/m].
+        high: largest stiffness of the policy's that is applied [N/m].
 
     The policy's Q stiffness rows go to the D axes one to one, or one row to all axes.
 
     Raises:
-        InvalidArgumentError: an unknown form, bounds that are no interval of numbers ≥ 0; from a roll-out, a policy
-            without stiffness where none is given here, or with a number of rows that is neither 1 nor D.
+        InvalidArgumentError: an unknown form, bounds that are no interval of numbers ≥ 0, a negative constant; from a
+            roll-out, a policy without stiffness where none is given here, or with a number of rows neither 1 nor D.
     """
 
     def __init__(
@@ -47,6 +47,8 @@ class ImpedanceControlled:
             raise InvalidArgumentError(f"form has to be 'implicit' or 'explicit', got {form!r}")
         if not 0 <= low <= high:
             raise InvalidArgumentError(f"0 ≤ low ≤ high is needed, got low={low} and high={high}")
+        if stiffness is not None and not (torch.as_tensor(stiffness) >= 0).all():
+            raise InvalidArgumentError(f"a constant stiffness has to be ≥ 0, got {stiffness}")
         self.plant = plant
         self.stiffness = stiffness
         self.form = form

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchds.errors import InvalidArgumentError
 
 Force = Callable[[float, Tensor, Tensor], Tensor]
-"""force(t, x, v) -> `(..., D)` [N] at positions `x` and velocities `v` `(..., D)`."""
+"""force(t, x, v) -> `(..., D)` or one `(D,)` for all [N] at positions `x` and velocities `v` `(..., D)`."""
 
 
 class Command(NamedTuple):
@@ -90,7 +90,7 @@ class PointMass:
 
     def external(self, t: float, state: Motion) -> Tensor:
         """The external force in a state."""
-        return torch.zeros_like(state.x) if self.force is None else self.force(t, state.x, state.v)
+        return torch.zeros_like(state.x) if self.force is None else self.force(t, state.x, state.v).expand_as(state.x)
 
     def advance(self, state: Motion, acceleration: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Velocity first, then position with the new velocity (Eq. 29-30)."""

@@ -28,7 +28,8 @@ class GMRPolicy(nn.Module):
     carry leading batch dimensions, the `batch_shape`: one module then holds many policies over one gating.
 
     Args:
-        priors: `(K,)` π_k.
+        priors: `(K,)` π_k. All three may have a batch of their own in front, with which that of the parameters ends:
+            policies over different gatings, as a batch of fits to different motions gives them.
         means: `(K, D)` centres μ_k of the inputs.
         covariances: `(K, D, D)` input covariances Σ_k.
         A: `(*batch, K, O, D)` slopes of the velocity.
@@ -78,9 +79,7 @@ class GMRPolicy(nn.Module):
     ) -> None:
         super().__init__()
         gate = GaussianMixture(priors, means, covariances)
-        if gate.batch_shape:
-            raise InvalidArgumentError(f"the gating of a policy is one mixture, got a batch {gate.batch_shape}")
-        K, D = means.shape
+        K, D = means.shape[-2:]
         if (stiffness_A is None) != (stiffness_b is None):
             raise InvalidArgumentError("stiffness_A and stiffness_b come together; got only one of them")
         if stiffness_A is None or stiffness_b is None:
@@ -91,15 +90,19 @@ class GMRPolicy(nn.Module):
                     f"with {K} components of {D} inputs, slopes have to be (*batch, {K}, O, {D}) and offsets "
                     f"(*batch, {K}, O); got {tuple(slopes.shape)} and {tuple(offsets.shape)}"
                 )
+        lead, own = tuple(A.shape[:-3]), gate.batch_shape
+        if lead[len(lead) - len(own) :] != own:
+            raise InvalidArgumentError(f"a gating of batch {own} needs parameters whose batch ends with it, got {lead}")
         # Σ⁻¹ = WᵀW with W = L⁻¹, so that |W(x − μ)| is the Mahalanobis distance.
-        identity = torch.eye(D, dtype=means.dtype, device=means.device).expand(K, D, D)
+        identity = torch.eye(D, dtype=means.dtype, device=means.device).expand_as(covariances)
         factors = torch.linalg.solve_triangular(torch.linalg.cholesky(covariances), identity, upper=False)
-        center = means.mean(0)  # distances are taken from here first: float32 keeps its digits far from the origin
+        center = means.mean(-2)  # distances are taken from here first: float32 keeps its digits far from the origin
         self.register_buffer("priors", priors.detach().clone())
         self.register_buffer("means", means.detach().clone())
         self.register_buffer("factors", factors.detach())
         self.register_buffer("_center", center.detach())
-        self.register_buffer("_offset", -(factors @ (means - center).unsqueeze(-1)).flatten().detach())
+        offset = -(factors @ (means - center.unsqueeze(-2)).unsqueeze(-1)).flatten(-3)
+        self.register_buffer("_offset", offset.detach())
         log_scale = priors.log() + factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         self.register_buffer("_log_scale", log_scale.detach())
         named = {"A": A, "b": b, "stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
@@ -199,9 +202,14 @@ class GMRPolicy(nn.Module):
 
     def __getitem__(self, index: int | slice | Tensor) -> GMRPolicy:
         """A new policy with the selected part of the batch."""
-        if not self.batch_shape:
+        n = len(self.batch_shape)
+        if not n:
             raise InvalidArgumentError("this policy has no batch to index; make one with expand(n)")
-        return self._with({name: p[index] for name, p in self.named_parameters()})
+        policy = self._with({name: p[index] for name, p in self.named_parameters()})
+        for name, value in self.named_buffers():
+            if value.ndim - _CORE[name] == n:  # others are shared by the whole batch, or by its first dimension
+                setattr(policy, name, value[index].clone())
+        return policy
 
     def _with(self, values: dict[str, Tensor]) -> GMRPolicy:
         policy = copy.deepcopy(self)
@@ -214,12 +222,12 @@ class GMRPolicy(nn.Module):
     @property
     def n_components(self) -> int:
         """K."""
-        return self.means.shape[0]
+        return self.means.shape[-2]
 
     @property
     def input_dim(self) -> int:
         """D."""
-        return self.means.shape[1]
+        return self.means.shape[-1]
 
     @property
     def output_dim(self) -> int:
@@ -261,10 +269,27 @@ class GMRPolicy(nn.Module):
         """
         if x.shape[-1:] != (self.input_dim,):
             raise InvalidArgumentError(f"x has to end with the policy's {self.input_dim} inputs, got {tuple(x.shape)}")
-        z = F.linear(x - self._center, self.factors.flatten(0, 1), self._offset)
+        z = self._whitened(x)
         limit = torch.finfo(z.dtype).max ** 0.5 / (4 * self.input_dim)  # squares stay finite
-        z = z.clamp(-limit, limit).unflatten(-1, (self.n_components, self.input_dim))
-        return torch.softmax(self._log_scale - 0.5 * z.square().sum(-1), -1)
+        squares = z.clamp(-limit, limit).square().unflatten(-1, (self.n_components, self.input_dim)).sum(-1)
+        return torch.softmax(self._at_points(self._log_scale, 1, x) - 0.5 * squares, -1)
+
+    def _whitened(self, x: Tensor) -> Tensor:
+        """L_k⁻¹ (x − μ_k) for all components, `(..., K D)`."""
+        W = self.factors.flatten(-3, -2)
+        if W.ndim == 2:
+            return F.linear(x - self._center, W, self._offset)
+        centered = x - self._at_points(self._center, 1, x)
+        turned = (self._at_points(W, 2, x) @ centered.unsqueeze(-1)).squeeze(-1)
+        return turned + self._at_points(self._offset, 1, x)
+
+    def _at_points(self, buffer: Tensor, core: int, x: Tensor) -> Tensor:
+        """A buffer `(*gate_batch, *core)` with an axis for each point axis of `x` `(*batch, *points, D)`."""
+        lead = buffer.ndim - core
+        if lead == 0:
+            return buffer
+        n_points = x.ndim - 1 - len(self.batch_shape)
+        return buffer.reshape(*buffer.shape[:lead], *(1,) * n_points, *buffer.shape[lead:])
 
     def features(self, x: Tensor) -> Tensor:
         """h_k(x) [x, 1], `(..., K (D+1))`: every output is linear in these features (Eq. 8-9)."""
@@ -338,8 +363,8 @@ class GMRPolicy(nn.Module):
         """
         K, D = self.n_components, self.input_dim
         h = self.gating(x)  # (*batch, *points, K)
-        z = F.linear(x - self._center, self.factors.flatten(0, 1), self._offset).unflatten(-1, (K, D))
-        score = -(z.unsqueeze(-2) @ self.factors).squeeze(-2)  # σ_k, (*batch, *points, K, D)
+        z = self._whitened(x).unflatten(-1, (K, D))
+        score = -(z.unsqueeze(-2) @ self._at_points(self.factors, 3, x)).squeeze(-2)  # σ_k, (*batch, *points, K, D)
         turn = h.unsqueeze(-1) * (score - (h.unsqueeze(-1) * score).sum(-2, keepdim=True))  # ∂h_k/∂x
         experts = self.rows().unflatten(-1, (K, D + 1))  # (*batch, O+Q, K, D+1)
         for _ in range(x.ndim - experts.ndim + 2):
@@ -390,6 +415,11 @@ class GMRPolicy(nn.Module):
                 parameter.grad = None  # of another batch; autograd could not add to it
             parameter.data = value.to(parameter).clone()
         return self
+
+
+# Dimensions of each buffer behind the batch.
+_CORE = {"priors": 1, "means": 2, "factors": 3, "_center": 1, "_offset": 1, "_log_scale": 1}
+_CORE |= {"initial_A": 3, "initial_b": 2, "initial_stiffness_A": 3, "initial_stiffness_b": 2}
 
 
 def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:

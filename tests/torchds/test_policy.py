@@ -446,7 +446,7 @@ def test_stiffness_is_either_demonstrated_or_constant(randn):
                 "means": torch.zeros(5, 3, 2),
                 "covariances": torch.eye(2).expand(5, 3, 2, 2),
             },
-            "the gating of a policy is one mixture, got a batch (5,)",
+            "a gating of batch (5,) needs parameters whose batch ends with it, got ()",
         ),
     ],
 )
@@ -492,3 +492,18 @@ def test_theta_of_the_wrong_size_is_refused(random_policy, shape):
         InvalidArgumentError, match=re.escape(f"theta has to be (*batch, 18) for this policy, got {shape}")
     ):
         policy.unpack(torch.zeros(shape))
+
+
+def test_policies_over_different_gatings_equal_single_ones(randn):
+    B, K, D = 4, 3, 2
+    L = 0.3 * randn(B, K, 2 * D, 2 * D) + torch.eye(2 * D, dtype=torch.float64)
+    mixture = GaussianMixture(randn(B, K).softmax(-1), randn(B, K, 2 * D), L @ L.mT)
+    policy = GMRPolicy.from_mixture(mixture, D)
+    runs = policy.expand(5)
+    x = randn(5, B, 7, D)
+    assert policy.batch_shape == (B,) and runs.batch_shape == (5, B)
+    for b in range(B):
+        torch.testing.assert_close(policy[b](x[0, b]), policy(x[0])[b], rtol=0, atol=1e-12)
+        torch.testing.assert_close(policy[b].jacobian(x[0, b]), policy.jacobian(x[0])[b], rtol=0, atol=1e-12)
+        for n in range(5):
+            torch.testing.assert_close(policy[b](x[n, b]), runs(x)[n, b], rtol=0, atol=1e-12)

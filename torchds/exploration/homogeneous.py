@@ -95,16 +95,17 @@ class Homogeneous(Exploration):
             size = means.abs().clamp_min(1.0)
         else:
             size = torch.maximum(means.abs(), 0.01 * variances.sqrt())
-        slope = 1.0 / size  # (K, D)
+        slope = 1.0 / size  # (*gate_batch, K, D)
+        lead = slope.shape[:-1]
         share = math.sqrt(D + 1)
         # The indices of Eq. 16-17 are exchanged: row j is divided by μ_j.
-        pattern = slope[:, :, None].expand(K, O, D) if self.rule == "printed" else slope[:, None, :].expand(K, O, D)
+        pattern = slope.unsqueeze(-1 if self.rule == "printed" else -2).expand(*lead, O, D)
         axis = means.new_ones(O)
         if self.direction is not None:
             axis = self.direction.to(means)
             axis = axis * (O / axis.square().sum()).sqrt()
         speed = axis * (self.mean_speed / chi_mean(O) / share)  # (O,)
-        std = {"A": speed[:, None] * pattern, "b": speed.expand(K, O)}
+        std = {"A": speed[:, None] * pattern, "b": speed.expand(*lead, O)}
         if self.rule == "released":
             centres = means.expand(*policy.batch_shape, K, D)
             local = torch.linalg.vector_norm(policy(centres).detach(), dim=-1, keepdim=True)  # (*batch, K, 1)
@@ -113,7 +114,10 @@ class Homogeneous(Exploration):
             # One output row has a half-normal norm; the program takes the two-dimensional factor for all rows.
             s = self.mean_stiffness / chi_mean(O if self.rule == "released" else 1) / share
             steep = 0.2 * s if self.rule == "released" else s
-            std |= {"stiffness_A": steep * slope[:, None, :].expand(K, Q, D), "stiffness_b": means.new_full((K, Q), s)}
+            std |= {
+                "stiffness_A": steep * slope.unsqueeze(-2).expand(*lead, Q, D),
+                "stiffness_b": means.new_full((*lead, Q), s),
+            }
         return std
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:

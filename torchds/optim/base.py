@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.evaluation import Closure, Control, Trial, controls, evaluate
+from torchds.optim.functional import cost_weights
 from torchds.visits import Visit
 
 
@@ -41,7 +42,7 @@ class PolicySearch(torch.optim.Optimizer):
         exploration: shapes the noise of the groups that have none of their own.
         n_rollouts: N, roll-outs per update.
         defaults: options of a group: `lr` (scales the standard deviation of the noise, so the paper's α is lr²),
-            `control_weight` (r of R = r I), and the subclass's own.
+            `control_weight` (r of R = r I), `eliteness`, `temperature`, and the subclass's own.
         batched: True: the closure is called once while every parameter carries N in front, and returns `(N, *batch)`.
             False: it is called N times, for any module, simulator or robot, and returns `(*batch)`.
         generator: of the unit normals, on the CPU; None for a new one with a fixed seed.
@@ -116,6 +117,10 @@ class PolicySearch(torch.optim.Optimizer):
     def _check_option(self, name: str, value: Any) -> None:
         if name in ("lr", "control_weight") and not value >= 0:
             raise InvalidArgumentError(f"{name} has to be ≥ 0, got {value}")
+        if name == "eliteness" and not value > 0:
+            raise InvalidArgumentError(f"eliteness has to be positive, got {value}")
+        if name == "temperature":
+            cost_weights(torch.zeros(1), temperature=value)
 
     def state_dict(self) -> dict[str, Any]:
         """Parameters' state and groups as in torch.optim, and the generator and explorations beside them."""
@@ -220,6 +225,7 @@ class PolicySearch(torch.optim.Optimizer):
             weight = {p: float(group["control_weight"]) for group, _ in groups for p in group["params"]}
             informed = self.costs_per_step or any(weight.values())
             control = controls(trial.visits, noise, weight, self.control_reference) if informed else []
+            self._check_control(trial.costs, control)
         except BaseException:
             if not asked:  # what ask() gave out stays valid, so that tell() can be tried again
                 self._forget()
@@ -253,6 +259,13 @@ class PolicySearch(torch.optim.Optimizer):
                 f"batch dimensions, got {tuple(costs.shape)} for parameters of shapes {[tuple(p.shape) for p in noise]}; "
                 "for a module that does not broadcast over parameters use batched=False"
             )
+
+    def _check_control(self, costs: Tensor, control: list[Control]) -> None:
+        """Refuse roll-outs that the update cannot use, before anything changes.
+
+        Raises:
+            InvalidArgumentError: what was received and what is allowed.
+        """
 
     def _remember(self, cost: Tensor, noise: Mapping[nn.Parameter, Tensor]) -> None:
         """Keep the cheapest parameters so far, of each run."""

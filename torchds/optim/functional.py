@@ -68,7 +68,7 @@ def time_averaged_update(
     Args:
         weights: `(N, *batch, T)` P.
         noise: `(N, *batch, O, F)` ε in rows.
-        features: `(N, *batch, T, F)` g.
+        features: `(N, *batch, T, F)` g; zero where a step does not count.
         gating: `(N, *batch, T, F)` activation of each feature's component, of which the mean over N counts; None for
             the time alone.
         projected: False averages ε in place of M ε.
@@ -79,5 +79,6 @@ def time_averaged_update(
     share = share / share.sum(-2, keepdim=True).clamp_min(torch.finfo(share.dtype).tiny)
     if not projected:
         return ((weights.unsqueeze(-2) @ share) * noise).sum(0)
-    along = noise @ (features / features.square().sum(-1, keepdim=True)).mT  # (N, *batch, O, T): g·ε/|g|²
+    size = features.square().sum(-1, keepdim=True).clamp_min(torch.finfo(features.dtype).tiny)
+    along = noise @ (features / size).mT  # (N, *batch, O, T): g·ε/|g|²
     return ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)

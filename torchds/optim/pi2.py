@@ -103,15 +103,28 @@ class PI2(PolicySearch):
         """
         return self._step(closure)
 
-    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+    def _check_control(self, costs: Tensor, control: list[Control]) -> None:
         part = control[0]
         if len(control) != 1 or part.upsilon.shape != costs.shape:
             raise InvalidArgumentError(
                 f"PI2 needs one roll-out from one start whose T steps are those of the costs {tuple(costs.shape)}; the "
                 f"closure made {len(control)}, the first of {tuple(part.upsilon.shape)} steps"
             )
-        weights = cost_weights(cost_to_go(costs, part.upsilon), group["eliteness"], group["temperature"])
+        own = part.visit.policy.from_rows(part.noise)
+        strangers = [tuple(p.shape) for group in self.param_groups for p in group["params"] if p not in own]
+        if strangers:
+            raise InvalidArgumentError(
+                f"PI2 moves the parameters of the policy that made the roll-out, got others of shape {strangers}; use PIBB"
+            )
+
+    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+        part = control[0]
+        to_go = cost_to_go(costs, part.upsilon)
+        weights = cost_weights(to_go, group["eliteness"], group["temperature"])
         policy, features = part.visit
+        # A roll-out that failed does not count, nor does a state at infinity.
+        counts = to_go.isfinite() & features.isfinite().all(-1)
+        features = torch.where(counts.unsqueeze(-1), features, 0.0)
         gating = policy.feature_gating(features) if group["weighting"] == "gating" else None
         rows = time_averaged_update(weights, part.noise, features, gating, group["projected"])
         update = policy.from_rows(rows)

@@ -8,7 +8,6 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.base import PolicySearch
 from torchds.optim.evaluation import Closure, Control
@@ -85,13 +84,6 @@ class PIBB(PolicySearch):
             control_reference=control_reference,
             elite=elite,
         )
-
-    def _check_option(self, name: str, value: Any) -> None:
-        super()._check_option(name, value)
-        if name == "eliteness" and not value > 0:
-            raise InvalidArgumentError(f"eliteness has to be positive, got {value}")
-        if name == "temperature":
-            cost_weights(torch.zeros(1), temperature=value)
 
     @torch.no_grad()
     def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]
