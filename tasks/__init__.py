@@ -8,11 +8,18 @@ from typing import Any
 from tasks.base import Scene as Scene
 from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
+from tasks.divergent_field import DivergentField as DivergentField
+from tasks.half_plane_force import HalfPlaneForce as HalfPlaneForce
 from tasks.two_starts import TwoStarts as TwoStarts
 from tasks.via_point import ViaPoint as ViaPoint
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
-TASKS: dict[str, type[Task]] = {"via_point": ViaPoint, "two_starts": TwoStarts}
+TASKS: dict[str, type[Task]] = {
+    "via_point": ViaPoint,
+    "two_starts": TwoStarts,
+    "divergent_field": DivergentField,
+    "half_plane_force": HalfPlaneForce,
+}
 
 
 def make(name: str, **options: Any) -> Task:
@@ -30,4 +37,14 @@ def make(name: str, **options: Any) -> Task:
     return TASKS[name](**options)
 
 
-__all__ = ["TASKS", "Scene", "SearchSettings", "Task", "TwoStarts", "ViaPoint", "make"]
+__all__ = [
+    "TASKS",
+    "DivergentField",
+    "HalfPlaneForce",
+    "Scene",
+    "SearchSettings",
+    "Task",
+    "TwoStarts",
+    "ViaPoint",
+    "make",
+]

@@ -32,6 +32,8 @@ class SearchSettings:
         mean_speed: of the homogeneous exploration [velocity unit of the task].
         rule: of the homogeneous exploration.
         spread: of the exploration along the motion [position unit of the task].
+        mean_stiffness: of the noise in each stiffness row [N/m].
+        stiffness_spread: of the exploration along the motion, in the stiffness [N/m].
         temperature: the spread of costs that scales the weights.
         decay: of the exploration.
         elite: what the first roll-out of an update is (see `PIBB`).
@@ -43,6 +45,8 @@ class SearchSettings:
     mean_speed: float = 0.1
     rule: Rule = "moment"
     spread: float = 0.5
+    mean_stiffness: float = 0.0
+    stiffness_spread: float | None = None
     temperature: Temperature = "range"
     decay: Literal["inverse", "linear", "exponential", "none"] = "inverse"
     elite: Literal["none", "nominal", "best"] = "none"
@@ -130,6 +134,10 @@ class Task(ABC):
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
         """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
+        return {}
+
+    def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
+        """What else is worth a look in a trial, `(*batch, ...)` by TensorBoard tag."""
         return {}
 
     # ------------------------------------------------------------------ what follows from it

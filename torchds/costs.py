@@ -40,15 +40,9 @@ def path_length(v: Tensor, dt: float) -> Tensor:
     return torch.linalg.vector_norm(v, dim=-1).sum(-1) * dt
 
 
-def stiffness(s: Tensor, n_axes: int | None = None) -> Tensor:
-    """Σ_j |s_j|, `(...)` for `s` `(..., T, Q)` (Eq. 49).
-
-    Args:
-        s: stiffness rows [N/m].
-        n_axes: axes that share the rows equally; an isotropic row of two axes costs √2 |s|, as two equal ones do.
-    """
-    scale = 1.0 if n_axes is None else (n_axes / s.shape[-1]) ** 0.5
-    return scale * torch.linalg.vector_norm(s, dim=-1).sum(-1)
+def stiffness(s: Tensor) -> Tensor:
+    """Σ_j |s_j|, `(...)` for the stiffness `s` `(..., T, D)` applied to each axis [N/m] (Eq. 49)."""
+    return torch.linalg.vector_norm(s, dim=-1).sum(-1)
 
 
 def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: float | Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command, Motion, PointMass
+from torchds.rollouts import Rollout
 
 
 class ImpedanceControlled:
@@ -26,12 +28,15 @@ class ImpedanceControlled:
             * "explicit": as the authors' program has it, with the new reference and the state before the step.
         low: smallest stiffness of the policy's that is applied [N/m].
         high: largest stiffness of the policy's that is applied [N/m].
-
-    The policy's Q stiffness rows go to the D axes one to one, or one row to all axes.
+        max_rate: largest change of the applied stiffness [N/m/s], a limit on the energy that changes can inject; None
+            for none.
+        rows: for each of the D axes, which of the policy's stiffness rows it follows, e.g. (0, 0) for an isotropic
+            stiffness in two dimensions; None for one to one, or the only row for all axes.
 
     Raises:
-        InvalidArgumentError: an unknown form, bounds that are no interval of numbers ≥ 0, a negative constant; from a
-            roll-out, a policy without stiffness where none is given here, or with a number of rows neither 1 nor D.
+        InvalidArgumentError: an unknown form, bounds that are no interval of numbers ≥ 0, a negative constant, a rate
+            that is not positive; from a roll-out, a policy without stiffness where none is given here, or without the
+            rows that it needs.
     """
 
     def __init__(
@@ -42,6 +47,8 @@ class ImpedanceControlled:
         form: Literal["implicit", "explicit"] = "implicit",
         low: float = 0.0,
         high: float = float("inf"),
+        max_rate: float | None = None,
+        rows: Sequence[int] | None = None,
     ) -> None:
         if form not in ("implicit", "explicit"):
             raise InvalidArgumentError(f"form has to be 'implicit' or 'explicit', got {form!r}")
@@ -49,10 +56,14 @@ class ImpedanceControlled:
             raise InvalidArgumentError(f"0 ≤ low ≤ high is needed, got low={low} and high={high}")
         if stiffness is not None and not (torch.as_tensor(stiffness) >= 0).all():
             raise InvalidArgumentError(f"a constant stiffness has to be ≥ 0, got {stiffness}")
+        if max_rate is not None and not max_rate > 0:
+            raise InvalidArgumentError(f"max_rate has to be positive, got {max_rate}")
         self.plant = plant
         self.stiffness = stiffness
         self.form = form
         self.low, self.high = low, high
+        self.max_rate = max_rate
+        self.rows = rows
 
     def reset(self, x0: Tensor) -> Motion:
         """At rest at `x0`."""
@@ -62,6 +73,9 @@ class ImpedanceControlled:
         """One step of Eq. 29-33; the external force is taken at the state before it."""
         m, d, dt = self.plant.mass, self.plant.damping, command.dt
         s = self._stiffness(state.x, command.stiffness)
+        if self.max_rate is not None and command.t > 0:
+            step = self.max_rate * dt
+            s = state.stiffness + (s - state.stiffness).clamp(-step, step)
         D = 2 * (s * m).sqrt()
         force = self.plant.external(command.t, state)
         if self.form == "explicit":
@@ -77,10 +91,42 @@ class ImpedanceControlled:
     def _stiffness(self, x: Tensor, rows: Tensor | None) -> Tensor:
         if self.stiffness is not None:
             return torch.as_tensor(self.stiffness, dtype=x.dtype, device=x.device).expand_as(x)
-        if rows is None or rows.shape[-1] not in (1, x.shape[-1]):
-            received = "a policy without stiffness" if rows is None else f"{rows.shape[-1]} stiffness rows"
+        n_axes, n_rows = x.shape[-1], 0 if rows is None else rows.shape[-1]
+        index = list(self.rows) if self.rows is not None else [0] * n_axes if n_rows == 1 else list(range(n_axes))
+        if rows is None or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
+            received = "a policy without stiffness" if rows is None else f"{n_rows} stiffness rows"
             raise InvalidArgumentError(
-                f"{received} cannot control {x.shape[-1]} axes: make the policy with stiffness_dim=1 (the same for all "
-                f"axes) or {x.shape[-1]}, or give ImpedanceControlled a constant stiffness"
+                f"{received} cannot control {n_axes} axes by rows={tuple(index)}: make the policy with stiffness_dim=1 (the "
+                f"same for all axes) or {n_axes}, or give ImpedanceControlled a constant stiffness"
             )
-        return rows.clamp(self.low, self.high).expand_as(x)
+        return rows.clamp(self.low, self.high)[..., index]
+
+
+def injected_energy(path: Rollout) -> Tensor:
+    """Energy that changes of the stiffness put into the spring, Σ_t max(0, ½ Σ_d (s_t − s_{t−1}) e_{t−1}²) `(...)` [J].
+
+    With constant stiffness the spring and the damper are passive; raising the stiffness while the spring is stretched by e
+    is what can inject energy.
+
+    Args:
+        path: a roll-out under `ImpedanceControlled`.
+    """
+    s = path.plant.stiffness[..., 1:, :]
+    stretch = (path.reference - path.plant.x)[..., 1:-1, :]
+    return (0.5 * s.diff(dim=-2) * stretch.square()).sum(-1).clamp_min(0.0).sum(-1)
+
+
+def clamped_share(path: Rollout, controlled: ImpedanceControlled) -> Tensor:
+    """Share of steps and stiffness rows of the policy that were outside the bounds `(...)`, between 0 and 1.
+
+    Args:
+        path: a roll-out of a policy with stiffness.
+        controlled: its plant, for the bounds.
+
+    Raises:
+        InvalidArgumentError: the policy has no stiffness.
+    """
+    if path.stiffness is None:
+        raise InvalidArgumentError("this roll-out is of a policy without stiffness; nothing was clamped")
+    outside = (path.stiffness < controlled.low) | (path.stiffness > controlled.high)
+    return outside.to(path.x.dtype).mean((-2, -1))

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from torchds import stability
 from torchds.errors import InvalidArgumentError
 from torchds.mixture import GaussianMixture
 
@@ -206,7 +207,7 @@ class GMRPolicy(nn.Module):
         if not n:
             raise InvalidArgumentError("this policy has no batch to index; make one with expand(n)")
         policy = self._with({name: p[index] for name, p in self.named_parameters()})
-        for name, value in self.named_buffers():
+        for name, value in self.named_buffers(recurse=False):
             if value.ndim - _CORE[name] == n:  # others are shared by the whole batch, or by its first dimension
                 setattr(policy, name, value[index].clone())
         return policy
@@ -279,9 +280,11 @@ class GMRPolicy(nn.Module):
         W = self.factors.flatten(-3, -2)
         if W.ndim == 2:
             return F.linear(x - self._center, W, self._offset)
-        centered = x - self._at_points(self._center, 1, x)
-        turned = (self._at_points(W, 2, x) @ centered.unsqueeze(-1)).squeeze(-1)
-        return turned + self._at_points(self._offset, 1, x)
+        centered, offset = x - self._at_points(self._center, 1, x), self._at_points(self._offset, 1, x)
+        n_points = x.ndim - 1 - len(self.batch_shape)
+        if n_points == 0:
+            return (W @ centered.unsqueeze(-1)).squeeze(-1) + offset
+        return centered @ W.reshape(*W.shape[:-2], *(1,) * (n_points - 1), *W.shape[-2:]).mT + offset
 
     def _at_points(self, buffer: Tensor, core: int, x: Tensor) -> Tensor:
         """A buffer `(*gate_batch, *core)` with an axis for each point axis of `x` `(*batch, *points, D)`."""
@@ -371,6 +374,10 @@ class GMRPolicy(nn.Module):
             experts = experts.unsqueeze(-4)
         y = (experts @ F.pad(x, (0, 1), value=1.0)[..., None, :, None]).squeeze(-1)  # (*batch, *points, O+Q, K)
         return y @ turn + (h[..., None, :, None] * experts[..., :D]).sum(-2)
+
+    def certificate(self, goal: Tensor, P: Tensor | None = None) -> stability.Certificate:
+        """What proves that every motion of this policy ends at `goal`; see `torchds.stability.certificate`."""
+        return stability.certificate(self, goal, P)
 
     # ------------------------------------------------------------------ the flat parameter vector
 

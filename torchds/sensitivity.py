@@ -10,6 +10,21 @@ from torchds.rollouts import Rollout
 
 
 @torch.no_grad()
+def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor:
+    """The Jacobian of the stiffness outputs with respect to θ, `(*batch, *points, T, Q, P)` for the states 0..T−1.
+
+    Args:
+        policy: that made the roll-out.
+        path: its roll-out.
+        J: `sensitivity(policy, path)`, since the stiffness depends on where the reference is.
+    """
+    O = policy.output_dim
+    x = path.reference[..., :-1, :]
+    before = torch.cat([torch.zeros_like(J[..., :1, :, :]), J[..., :-1, :, :]], -3)
+    return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ before
+
+
+@torch.no_grad()
 def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
     r"""The Jacobian of the reference positions with respect to θ, `(*batch, *points, T, D, P)` for the states 1..T.
 

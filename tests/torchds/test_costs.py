@@ -54,14 +54,6 @@ def test_stiffness_is_the_sum_of_norms(randn):
     assert_close(costs.stiffness(s).numpy(), expected, **CLOSE)
 
 
-@pytest.mark.parametrize("n_axes", [1, 2, 3])
-def test_a_shared_stiffness_costs_as_much_as_equal_ones(randn, n_axes):
-    s = randn(5, 8, 1)
-    separate = s.expand(5, 8, n_axes)
-    assert_close(costs.stiffness(s, n_axes=n_axes), costs.stiffness(separate), **CLOSE)
-    assert_close(costs.stiffness(separate, n_axes=n_axes), costs.stiffness(separate), **CLOSE)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_costs_keep_the_dtype(randn, dtype):
     x, rows = randn(4, 6, 2).to(dtype), randn(4, 2, 5).to(dtype)
@@ -70,7 +62,7 @@ def test_costs_keep_the_dtype(randn, dtype):
         costs.goal(x, x[0, 0]),
         costs.acceleration(x),
         costs.path_length(x, 0.1),
-        costs.stiffness(x, 2),
+        costs.stiffness(x),
         costs.control_cost(rows, rows, randn(4, 7, 5).to(dtype), 0.5).sum(-1),
     )
     assert all(term.dtype == dtype and term.shape == (4,) for term in terms)

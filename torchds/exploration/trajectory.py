@@ -14,7 +14,7 @@ from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous
 from torchds.policy import GMRPolicy
 from torchds.rollouts import rollout
-from torchds.sensitivity import sensitivity
+from torchds.sensitivity import sensitivity, stiffness_sensitivity
 
 
 class Coordinates(NamedTuple):
@@ -43,10 +43,10 @@ class TrajectorySpace(Exploration):
     .. math:: C = (J^T J / (T\, spread^2) + D^{-1})^{-1},
 
     wide where the motion does not feel a direction, narrow where it does. In the eigenvectors V of
-    D_1^{1/2} (JᵀJ/T) D_1^{1/2} (D_1 for `widening` 1, eigenvalues λ) that is one variance per direction, to which
+    D_1^{1/2} (JᵀJ/(T spread²)) D_1^{1/2} (D_1 for `widening` 1, eigenvalues λ) that is one variance per direction, to which
     `damping` adds a factor: directions that the motion does not feel at all would drift at random and are left alone,
 
-    .. math:: σ_i^2 = \frac{1}{λ_i / spread^2 + 1 / widening^2} \cdot \frac{λ_i}{λ_i + damping\, λ_{max}}.
+    .. math:: σ_i^2 = \frac{1}{λ_i + 1 / widening^2} \cdot \frac{λ_i}{λ_i + damping\, λ_{max}}.
 
     J is exact and follows the policy as it changes. Where it is not finite (a diverging motion), the noise falls back to
     the homogeneous one. docs/exploration.md derives this and says when it does not help.
@@ -57,7 +57,10 @@ class TrajectorySpace(Exploration):
         n_steps: T.
         dt: time step [s].
         spread: how far the motion may be moved, root mean square over time [position unit].
+        stiffness_spread: how far the stiffness along the motion may be moved, root mean square [N/m]; for a policy with
+            stiffness rows, whose outputs then count in JᵀJ beside the positions, each divided by its spread.
         mean_speed: of the homogeneous noise behind D [velocity unit].
+        mean_stiffness: of that noise in each stiffness row [N/m].
         widening: how much wider than the homogeneous noise a direction may be.
         damping: relative size, of the largest λ, below which a direction is left alone; 0 for the plain covariance.
         refresh: updates between two evaluations of J.
@@ -74,7 +77,9 @@ class TrajectorySpace(Exploration):
         dt: float,
         spread: float,
         *,
+        stiffness_spread: float | None = None,
         mean_speed: float = 0.1,
+        mean_stiffness: float = 0.0,
         widening: float = 3.0,
         damping: float = 1e-4,
         refresh: int = 1,
@@ -88,7 +93,13 @@ class TrajectorySpace(Exploration):
         self.x0, self.n_steps, self.dt = x0, n_steps, dt
         self.spread, self.widening, self.damping = spread, widening, damping
         self.refresh = refresh
-        self._homogeneous = Homogeneous(policy, mean_speed)
+        if policy.stiffness_dim and not ((stiffness_spread or 0) > 0 and mean_stiffness > 0):
+            raise InvalidArgumentError(
+                "a policy with stiffness rows needs stiffness_spread > 0 and mean_stiffness > 0, got "
+                f"{stiffness_spread} and {mean_stiffness}"
+            )
+        self.stiffness_spread = stiffness_spread or 1.0
+        self._homogeneous = Homogeneous(policy, mean_speed, mean_stiffness=mean_stiffness)
         self._age = 0
         self._factor: Tensor | None = None
 
@@ -123,17 +134,22 @@ class TrajectorySpace(Exploration):
 
     @torch.no_grad()
     def _evaluate(self) -> Tensor:
-        path = rollout(self.policy, self.x0, self.n_steps, self.dt)
-        J = sensitivity(self.policy, path).flatten(len(self.policy.batch_shape), -2)  # (*batch, points·T·D, P)
+        policy, n_batch = self.policy, len(self.policy.batch_shape)
+        path = rollout(policy, self.x0, self.n_steps, self.dt)
+        J = sensitivity(policy, path)  # (*batch, *points, T, D, P)
+        n = J[..., 0, 0].flatten(n_batch).shape[-1]  # times and points
+        rows = [J.flatten(n_batch, -2) / self.spread]
+        if policy.stiffness_dim:
+            rows.append(stiffness_sensitivity(policy, path, J).flatten(n_batch, -2) / self.stiffness_spread)
         std = self._homogeneous.std()
-        names = {id(p): name for name, p in self.policy.named_parameters()}
-        unit = self.policy.pack(lambda p: std[names[id(p)]])  # (P,) or (*batch, P)
-        felt = J * unit.unsqueeze(-2)
-        metric = felt.mT @ felt / (J.shape[-2] / self.policy.input_dim)
+        names = {id(p): name for name, p in policy.named_parameters()}
+        unit = policy.pack(lambda p: std[names[id(p)]])  # (P,) or (*batch, P)
+        felt = torch.cat(rows, -2) * unit.unsqueeze(-2)
+        metric = felt.mT @ felt / n
         good = metric.isfinite().all(-1).all(-1, keepdim=True)  # (*batch, 1)
         values, vectors = torch.linalg.eigh(torch.where(good.unsqueeze(-1), metric, 0.0))
         values = values.clamp_min(0.0)
-        variance = 1.0 / (values / self.spread**2 + self.widening**-2)
+        variance = 1.0 / (values + self.widening**-2)
         if self.damping:
             largest = values.amax(-1, keepdim=True).clamp_min(torch.finfo(values.dtype).tiny)
             variance = variance * values / (values + self.damping * largest)
