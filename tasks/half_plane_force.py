@@ -24,8 +24,8 @@ class HalfPlaneForce(ArchTask):
     """[0, 10] N for x₁ > −5 in half of the executions: the stiffness has to rise where the force may be (Eq. 51).
 
     Every policy is tried without and with the force, and costs the mean of the two: Σ_l min_j |x_l^via − x_j|² +
-    |x^goal − x_T|² + 10⁻³ Σ_j |v_j − v_{j−1}| + 2·10⁻⁴ Σ_j |s_j|, and a control cost of r = 10⁻⁶. The position that decides is the
-    actual one.
+    |x^goal − x_T|² + 10⁻³ Σ_j |v_j − v_{j−1}| + 2·10⁻⁴ Σ_j |s_j|, and a control cost of r = 10⁻⁶. The position that
+    decides is the actual one.
 
     With convention="released", the problem is the one that the authors' program runs: via-points and goal are averaged over
     both executions, but the acceleration term is that of the disturbed one, halved, and so is the stiffness term; r = 10⁻⁷;
