@@ -24,11 +24,11 @@ ROOT = Path(__file__).parents[1]
 LADDER = [
     {"errors"},
     {"visits"},
-    {"mixture", "demonstrations", "recordings", "costs"},
-    {"policy"},
+    {"mixture", "demonstrations", "recordings", "costs", "stability", "metrics"},
+    {"policy", "trainable"},
     {"plants"},
     {"impedance", "rollouts"},
-    {"sensitivity"},
+    {"sensitivity", "fits"},
     {"exploration"},
     {"optim", "plotting"},
 ]

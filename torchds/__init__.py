@@ -32,10 +32,15 @@ Example:
 from torchds import costs as costs
 from torchds import errors as errors
 from torchds import exploration as exploration
+from torchds import metrics as metrics
 from torchds import optim as optim
+from torchds import stability as stability
 from torchds import visits as visits
 from torchds.demonstrations import Demonstration as Demonstration
 from torchds.demonstrations import Demonstrations as Demonstrations
+from torchds.fits import StableFit as StableFit
+from torchds.fits import fit_mixtures as fit_mixtures
+from torchds.fits import fit_stable as fit_stable
 from torchds.mixture import Conditional as Conditional
 from torchds.mixture import GaussianMixture as GaussianMixture
 from torchds.policy import GMRPolicy as GMRPolicy
@@ -57,14 +62,19 @@ __all__ = [
     "GMRPolicy",
     "GaussianMixture",
     "Rollout",
+    "StableFit",
     "costs",
     "errors",
     "exploration",
+    "fit_mixtures",
+    "fit_stable",
     "load_csv",
     "load_lasa",
     "load_mat",
     "load_npz",
+    "metrics",
     "optim",
     "rollout",
+    "stability",
     "visits",
 ]

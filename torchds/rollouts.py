@@ -17,6 +17,9 @@ from torchds.policy import GMRPolicy
 StopCondition = Callable[[Tensor, Tensor], Tensor]
 """(x, x_next), each `(*batch, *points, D)` -> bool `(*batch, *points)`: True where the step must not be taken."""
 
+Shift = Tensor | Callable[[float], Tensor]
+"""`(D,)`, `(*points, D)` or `(*batch, *points, D)`, or a function of the time [s] that returns one of these."""
+
 
 @dataclass(frozen=True)
 class Rollout:
@@ -31,6 +34,7 @@ class Rollout:
         resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
         stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m]; None for a policy without stiffness.
         reference: `(*batch, *points, T+1, D)` the motion that the policy generates; `x` itself without a plant.
+        inputs: `(*batch, *points, T, D)` what the policy saw: the first T reference states, less the shift.
         plant: all that the plant went through (a `Motion` for a point mass), each field `(*batch, *points, T+1, ...)`;
             None without a plant.
     """
@@ -42,6 +46,7 @@ class Rollout:
     resting: Tensor | None
     stiffness: Tensor | None
     reference: Tensor
+    inputs: Tensor
     plant: Any
 
     @property
@@ -84,6 +89,7 @@ def rollout(
     starts: Literal["shared", "per_policy"] = "shared",
     stop: StopCondition | None = None,
     plant: Plant | None = None,
+    shift: Shift | None = None,
 ) -> Rollout:
     """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
 
@@ -96,14 +102,16 @@ def rollout(
         starts: how the leading dimensions of `x0` are read.
         stop: a roll-out rests for good where this is True; see `Bounds`.
         plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34).
+        shift: how far the whole field is moved, ẋ = policy(x − shift), also as a function of time: a motion that ends
+            at x* then ends at x* + shift, and follows a target that moves (section 5.1).
 
     Returns:
         A `Rollout`; differentiable with respect to the parameters and `x0`. States may diverge to infinity or NaN:
         that is data for the cost, not an error.
 
     Raises:
-        InvalidArgumentError: wrong dimension or leading shape of `x0`, n_steps < 1, dt ≤ 0, or a policy with fewer
-            velocities than inputs.
+        InvalidArgumentError: wrong dimension or leading shape of `x0` or `shift`, n_steps < 1, dt ≤ 0, or a policy with
+            fewer velocities than inputs.
     """
     D, batch = policy.input_dim, policy.batch_shape
     if x0.shape[-1:] != (D,):
@@ -124,8 +132,13 @@ def rollout(
     state: Any = None if plant is None else plant.reset(x)
     resting = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     references, velocities, features, stiffness, rests, states = [x], [], [], [], [], [state]
+    inputs = []
     for i in range(n_steps):
-        g = policy.features(x)
+        if shift is None:
+            g = policy.features(x)
+        else:
+            inputs.append(x - _checked_shift(shift(i * dt) if callable(shift) else shift, x))
+            g = policy.features(inputs[-1])
         y = policy.outputs(g, rows)
         v_before, v, s = v, y[..., :O], y[..., O:] if policy.stiffness_dim else None
         x_next = torch.add(x, v[..., :D], alpha=dt)
@@ -144,7 +157,8 @@ def rollout(
         if s is not None:
             stiffness.append(s)
     reference = torch.stack(references, -2)
-    tracked = None if plant is None else type(states[0])(*(torch.stack(f, -2) for f in zip(*states, strict=True)))
+    time = x.ndim - 1
+    tracked = None if plant is None else type(states[0])(*(torch.stack(f, time) for f in zip(*states, strict=True)))
     path = Rollout(
         x=reference if tracked is None else tracked.x,
         v=torch.stack(velocities, -2) if tracked is None else tracked.v[..., 1:, :],
@@ -153,7 +167,18 @@ def rollout(
         resting=torch.stack(rests, -1) if rests else None,
         stiffness=torch.stack(stiffness, -2) if stiffness else None,
         reference=reference,
+        inputs=torch.stack(inputs, -2) if inputs else reference[..., :-1, :],
         plant=tracked,
     )
     visits.report(policy, path.features)
     return path
+
+
+def _checked_shift(shift: Tensor, x: Tensor) -> Tensor:
+    try:
+        fits = shift.shape[-1:] == x.shape[-1:] and torch.broadcast_shapes(shift.shape, x.shape) == x.shape
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise InvalidArgumentError(f"shift {tuple(shift.shape)} has to broadcast with the states {tuple(x.shape)}")
+    return shift

@@ -233,3 +233,52 @@ def test_arguments_that_do_not_fit_are_refused(random_policy, change, message):
 def test_fewer_velocities_than_inputs_are_refused(random_policy):
     with pytest.raises(InvalidArgumentError, match="1 velocities cannot move 2 inputs"):
         rollout(random_policy(D=2, O=1), torch.zeros(2, dtype=torch.float64), n_steps=3, dt=0.1)
+
+
+# ---------------------------------------------------------------------- a field that moves
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_a_shifted_roll_out_is_the_same_motion_elsewhere(random_policy, randn, batch):
+    policy, x0, shift = random_policy(Q=1, batch=batch), randn(4, 2), randn(2)
+    here = rollout(policy, x0, n_steps=12, dt=0.1)
+    there = rollout(policy, x0 + shift, n_steps=12, dt=0.1, shift=shift)
+    assert_close(there.x, here.x + shift, **CLOSE)
+    assert_close((there.v, there.features, there.stiffness), (here.v, here.features, here.stiffness), **CLOSE)
+    assert_close(there.inputs, here.x[..., :-1, :], **CLOSE)
+    assert_close(here.inputs, here.x[..., :-1, :], rtol=0, atol=0)
+
+
+def test_each_start_may_have_a_shift_of_its_own(random_policy, randn):
+    policy, x0, shift = random_policy(batch=(3,)), randn(4, 2), randn(4, 2)
+    together = rollout(policy, x0, n_steps=12, dt=0.1, shift=shift)
+    for j in range(4):
+        alone = rollout(policy, x0[j], n_steps=12, dt=0.1, shift=shift[j])
+        assert_close(together.x[:, j], alone.x, **CLOSE)
+
+
+def test_a_motion_follows_its_moving_target():
+    """ẋ = −(x − c t) lags c behind c t: x = c (t − 1 + e^{−t})."""
+    policy, c, times = linear([[-1.0, 0.0], [0.0, -1.0]], [0.0, 0.0]), tensor(0.5, -0.2), []
+
+    def target(t):
+        times.append(t)
+        return c * t
+
+    path = rollout(policy, tensor(0.0, 0.0), n_steps=5000, dt=0.001, shift=target)
+    assert_close(path.x[-1], c * (5.0 - 1.0 + np.exp(-5.0)), rtol=0, atol=1e-3)
+    assert times[:3] == [0.0, 0.001, 0.002]
+    assert len(times) == 5000
+
+
+def test_a_motion_that_ends_at_its_goal_ends_at_the_shifted_one():
+    policy = linear([[-1.0, 2.0], [-2.0, -1.0]], [0.0, 0.0])
+    jump = rollout(policy, tensor(1.0, 1.0), 400, 0.05, shift=lambda t: tensor(0.0, 0.0) if t < 5 else tensor(3.0, 1.0))
+    assert_close(jump.x[99], tensor(0.0, 0.0), rtol=0, atol=0.05)
+    assert_close(jump.x[-1], tensor(3.0, 1.0), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("shift", [torch.zeros(3), torch.zeros(5, 2), torch.zeros(1, 1, 4, 2)])
+def test_a_shift_that_does_not_fit_is_refused(random_policy, shift):
+    with pytest.raises(InvalidArgumentError, match=re.escape(f"shift {tuple(shift.shape)} has to broadcast with")):
+        rollout(random_policy(), torch.zeros(4, 2, dtype=torch.float64), n_steps=3, dt=0.1, shift=shift)

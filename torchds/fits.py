@@ -1,0 +1,347 @@
+"""Stable systems fitted to demonstrations, many at once (section 4.3).
+
+A fit starts from a mixture found by EM and learns gating, slopes and metric by Adam with exact gradients. The condition
+(`torchds.stability`) is built into the parameters, so no constraint is left to enforce. Everything happens in
+normalised units: positions relative to the goal and velocities, each of unit root mean square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import torch
+from torch import Tensor
+
+from torchds.demonstrations import Demonstrations
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.mixture import GaussianMixture
+from torchds.policy import GMRPolicy
+from torchds.stability import Certificate
+from torchds.trainable import TrainableMixture
+
+Condition = Literal["none", "seds", "p-qlf"]
+Objective = Literal["velocity", "likelihood"]
+Motions = Demonstrations | Sequence[Demonstrations]
+
+TAPER = 1.0  # distance to the goal [RMS distance] from which on the tube around the demonstrations narrows
+SOFTNESS = 0.05  # [RMS speed] errors below count as squares, above by their length
+RATE, RATE_WEIGHT = 0.3, 0.3  # a rate of convergence that is asked for, not enforced: motions do not creep at their end
+COVARIANCE_FLOOR = 1e-4  # of the mixtures that fits start from
+BIC_SAMPLES = (
+    64  # per demonstration: neighbouring samples are not independent, all of them would ask for too many Gaussians
+)
+METRIC_STARTS, METRIC_STEPS, METRIC_SAMPLES = 12, 200, 125
+
+
+class StableFit(NamedTuple):
+    """What `fit_stable` returns; `*batch` is empty for one set of demonstrations.
+
+    Attributes:
+        policy: in the units of the demonstrations; components that a fit does not have carry prior zero.
+        goal: `(*batch, D)` x*, with b_k = −A_k x*.
+        P: `(*batch, D, D)` of the condition, of trace D; the identity for "seds" and "none".
+        loss: `(*batch,)` at the end, in normalised units, at the demonstrated positions.
+        n_components: `(*batch,)` K of each fit.
+    """
+
+    policy: GMRPolicy
+    goal: Tensor
+    P: Tensor
+    loss: Tensor
+    n_components: Tensor
+
+    def certificate(self) -> Certificate:
+        """The policy's certificate for this goal and P."""
+        return self.policy.certificate(self.goal, self.P)
+
+
+def fit_stable(
+    demos: Motions,
+    n_components: int | Literal["bic"] | Sequence[int] = "bic",
+    condition: Condition = "p-qlf",
+    objective: Objective = "velocity",
+    *,
+    margin: float = 0.03,
+    goal: Tensor | None = None,
+    start: GaussianMixture | None = None,
+    seed: int | Sequence[int] = 0,
+    spread: float = 0.1,
+    direction: float = 1.0,
+    n_steps: int = 600,
+    lr: float = 0.03,
+) -> StableFit:
+    r"""Fit systems ẋ = Σ_k h_k(x) A_k (x − x*) that end at their goal from everywhere, one or a batch of them.
+
+    With z_n = (x_n − x*) + s_n ε, ε drawn anew at every step, the objective "velocity" is the mean over samples of
+
+    .. math:: \sqrt{|v_n - f(z_n)|^2 + softness^2} + direction\,(1 - \cos\angle(v_n, f(z_n))),
+
+    the other is the likelihood of [z_n, v_n]. The width s_n = spread tanh(|x_n − x*|) asks for the demonstrated velocity
+    in a tube around the demonstrations that narrows to nothing at the goal; it is what keeps a fit from overfitting.
+
+    Args:
+        demos: one motion, or several, of one dimension; the same may be given several times, with other seeds.
+        n_components: K for all, one K per motion, or "bic" (see `fit_mixtures`).
+        condition: "seds" (P = I), "p-qlf" (P is learned) or "none" (nothing but b_k = −A_k x* holds).
+        objective: "velocity" or "likelihood".
+        margin: the rate of convergence that is certain, [RMS speed / RMS distance to the goal], above zero. In 1/s, the fit's
+            `certificate().margin` tells.
+        goal: `(D,)` or `(B, D)` x*; by default the mean of the last positions of each motion.
+        start: what `fit_mixtures` gave for these motions; fitted here by default.
+        seed: of the k-means starts, one for all or one per motion; the jitter is the same for all.
+        spread: width of the tube, standard deviation [RMS distance to the goal].
+        direction: weight of the error of direction, for "velocity".
+        n_steps: of Adam, with a learning rate that rises for a fifth of them and then falls to zero.
+        lr: the largest learning rate.
+
+    Raises:
+        UnknownNameError: `condition` or `objective`.
+        InvalidArgumentError: an argument out of its range or of the wrong length, or motions of several dimensions.
+        DegenerateMixtureError: see `GaussianMixture.fit`.
+
+    Example:
+        >>> import torch, torchds
+        >>> fit = torchds.fit_stable(torchds.load_lasa("Angle", 3).every(10), n_components=4, n_steps=50)
+        >>> bool(fit.certificate().stable), fit.policy.n_components
+        (True, 4)
+    """
+    for kind, name, known in (("condition", condition, Condition), ("objective", objective, Objective)):
+        if name not in get_args(known):
+            raise UnknownNameError(kind, name, get_args(known))
+    if not 0 < margin < float("inf"):
+        raise InvalidArgumentError(f"margin has to be above 0 and finite, got {margin}")
+    for option, value in {"spread": spread, "direction": direction, "lr": lr}.items():
+        if not 0 <= value < float("inf"):
+            raise InvalidArgumentError(f"{option} has to be finite and ≥ 0, got {value}")
+    if n_steps < 10:
+        raise InvalidArgumentError(f"n_steps has to be at least 10, got {n_steps}")
+    samples = _Samples.of(_sequence(demos), goal)
+    batch, D = samples.x.shape[0], samples.x.shape[-1]
+    if start is None:
+        start = fit_mixtures(_sequence(demos), n_components, goal=goal, seed=seed)
+    elif start.means.ndim == 2:
+        start = GaussianMixture(*(part.unsqueeze(0) for part in (start.priors, start.means, start.covariances)))
+    if start.batch_shape != (batch,) or start.means.shape[-1] != 2 * D:
+        raise InvalidArgumentError(
+            f"start has to be {batch} mixtures of {2 * D} variables, [x, v] of each motion, got {start!r}"
+        )
+    start = samples.normalise(start)
+
+    P = None if condition == "none" else torch.eye(D, dtype=torch.float64).repeat(batch, 1, 1)
+    if condition == "p-qlf":
+        P = _initial_metric(samples)
+    model = TrainableMixture(start, _regress(start, samples), margin, P, learn_metric=condition == "p-qlf").float()
+    x, v, weight = samples.x.float(), samples.v.float(), samples.weight.float()
+    width = spread * torch.tanh(x.norm(dim=-1, keepdim=True) / TAPER)
+    generator = torch.Generator().manual_seed(0)
+
+    def losses(points: Tensor) -> Tensor:
+        likelihood = objective == "likelihood"
+        each = -model.log_likelihood(points, v) if likelihood else _velocity_loss(v, model(points), direction)
+        return (weight * each).sum(-1) + RATE_WEIGHT * model.slowness(RATE)
+
+    optimizer = torch.optim.Adam(model.parameters(), lr=lr, betas=(0.9, 0.99))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, lr, total_steps=n_steps, pct_start=0.2)
+    for _ in range(n_steps):
+        optimizer.zero_grad()
+        jitter = torch.randn(x.shape[1:], generator=generator)  # the same for all: a fit does not depend on its batch
+        losses(x + width * jitter).sum().backward()
+        optimizer.step()
+        schedule.step()
+    with torch.no_grad():
+        loss = losses(x)
+        return _result(model.double(), samples, loss, single=isinstance(demos, Demonstrations))
+
+
+def fit_mixtures(
+    demos: Motions,
+    n_components: int | Literal["bic"] | Sequence[int] = "bic",
+    *,
+    goal: Tensor | None = None,
+    seed: int | Sequence[int] = 0,
+    max_components: int = 15,
+) -> GaussianMixture:
+    """A batch of mixtures of [x, v] by EM, one for each motion: what `fit_stable` starts from.
+
+    EM sees normalised units and starts once. Motions with fewer components than the largest of the batch are padded by
+    components of prior zero. "bic" counts 64 samples per demonstration, since neighbouring ones are not independent.
+
+    Args:
+        demos: one motion (a batch of one comes back), or several.
+        n_components: K for all, one K per motion, or "bic".
+        goal: as for `fit_stable`.
+        seed: of the k-means starts, one for all or one per motion.
+        max_components: the largest K that "bic" tries.
+
+    Raises:
+        InvalidArgumentError, DegenerateMixtureError: as `fit_stable`.
+    """
+    motions = _sequence(demos)
+    samples = _Samples.of(motions, goal)
+    counts = _one_each("n_components", n_components, len(motions))
+    fits = []
+    for i, (motion, K, s) in enumerate(zip(motions, counts, _one_each("seed", seed, len(motions)), strict=True)):
+        options = {"covariance_floor": COVARIANCE_FLOOR, "n_init": 1, "tol": 1e-3, "seed": s}
+        y = torch.cat([samples.x[i], samples.v[i]], -1)[samples.weight[i] > 0]
+        if K == "bic":
+            parts = y.split([len(demo.x) for demo in motion])
+            thinned = torch.cat([part[:: -(-len(part) // BIC_SAMPLES)] for part in parts])
+            K = GaussianMixture.fit(thinned, "bic", max_components=max_components, **options).n_components
+        fits.append(GaussianMixture.fit(y, K, **options))
+    size = max(fit.n_components for fit in fits)
+
+    def stack(name: str) -> Tensor:
+        parts = []
+        for fit in fits:
+            part = getattr(fit, name)
+            first = torch.zeros_like(part[:1]) if name == "priors" else part[:1]
+            parts.append(torch.cat([part, first.expand(size - len(part), *part.shape[1:])]))
+        return torch.stack(parts)
+
+    return samples.restore(GaussianMixture(stack("priors"), stack("means"), stack("covariances")))
+
+
+class _Samples(NamedTuple):
+    """The samples of a batch of motions, normalised and padded; float64."""
+
+    x: Tensor  # (B, N, D) relative to the goal
+    v: Tensor  # (B, N, D)
+    weight: Tensor  # (B, N) sums to one, zero for padding
+    goal: Tensor  # (B, D)
+    x_scale: Tensor  # (B,) RMS of a coordinate
+    v_scale: Tensor  # (B,)
+
+    @classmethod
+    def of(cls, motions: Sequence[Demonstrations], goal: Tensor | None) -> _Samples:
+        dims = sorted({motion.dim for motion in motions})
+        if len(dims) != 1:
+            raise InvalidArgumentError(f"the motions of a batch need one dimension, got {dims}; fit them one by one")
+        if goal is None:
+            goal = torch.stack([torch.stack([demo.x[-1] for demo in motion]).mean(0) for motion in motions])
+        goal = goal.to("cpu", torch.float64)
+        if goal.shape not in ((dims[0],), (len(motions), dims[0])) or not goal.isfinite().all():
+            raise InvalidArgumentError(
+                f"goal has to be finite and ({dims[0]},) or ({len(motions)}, {dims[0]}), got {goal.tolist()}"
+            )
+        goal = goal.expand(len(motions), dims[0])
+        stacked = [motion.stacked() for motion in motions]
+        x = [part.x.to("cpu", torch.float64) - g for part, g in zip(stacked, goal, strict=True)]
+        v = [part.v.to("cpu", torch.float64) for part in stacked]
+        x_scale, v_scale = (torch.stack([part.square().mean().sqrt() for part in parts]) for parts in (x, v))
+        if not ((x_scale > 0) & (v_scale > 0)).all():
+            raise InvalidArgumentError("a motion does not move: all its positions are the goal or all velocities zero")
+        pad = torch.nn.utils.rnn.pad_sequence
+        return cls(
+            pad(x, batch_first=True) / x_scale[:, None, None],
+            pad(v, batch_first=True) / v_scale[:, None, None],
+            pad([torch.full((len(part),), 1 / len(part), dtype=part.dtype) for part in x], batch_first=True),
+            goal,
+            x_scale,
+            v_scale,
+        )
+
+    def normalise(self, mixture: GaussianMixture) -> GaussianMixture:
+        """A batch of joint mixtures in the units of the data, in normalised ones."""
+        shift, scale = self._units()
+        means, covariances = mixture.means.to(scale), mixture.covariances.to(scale)
+        scaled = covariances / (scale.mT * scale).unsqueeze(1)
+        return GaussianMixture(mixture.priors.to(scale), (means - shift) / scale, scaled)
+
+    def restore(self, mixture: GaussianMixture) -> GaussianMixture:
+        """The inverse of `normalise`."""
+        shift, scale = self._units()
+        scaled = mixture.covariances * (scale.mT * scale).unsqueeze(1)
+        return GaussianMixture(mixture.priors, mixture.means * scale + shift, scaled)
+
+    def _units(self) -> tuple[Tensor, Tensor]:
+        """Origin and scale of [x, v], each (B, 1, 2D)."""
+        D = self.x.shape[-1]
+        scale = torch.stack([self.x_scale, self.v_scale], -1).repeat_interleave(D, -1)
+        return torch.cat([self.goal, torch.zeros_like(self.goal)], -1).unsqueeze(1), scale.unsqueeze(1)
+
+
+def _sequence(demos: Motions) -> Sequence[Demonstrations]:
+    if isinstance(demos, Demonstrations):
+        return [demos]
+    motions = list(demos)
+    if not motions or not all(isinstance(motion, Demonstrations) for motion in motions):
+        raise InvalidArgumentError(f"demos has to be Demonstrations or a sequence of them, got {demos!r}")
+    return motions
+
+
+def _one_each(name: str, value: int | str | Sequence[int], n: int) -> list[Any]:
+    """One value for each of n motions, from one for all or one each."""
+    values = [value] * n if isinstance(value, (int, str)) else list(value)
+    if len(values) != n:
+        raise InvalidArgumentError(f"{len(values)} values of {name} for {n} motions; give one for all or one for each")
+    return values
+
+
+def _regress(start: GaussianMixture, samples: _Samples, ridge: float = 1e-3) -> Tensor:
+    """Slopes (B, K, D, D) of the least squares through the goal, weighted by the gating that the fit starts with."""
+    x, v, D = samples.x, samples.v, samples.x.shape[-1]
+    weight = start.marginal(0, D).component_log_prob(x).softmax(-1) * samples.weight.unsqueeze(-1)  # (B, N, K)
+    weighted = weight.mT.unsqueeze(-1) * x.unsqueeze(1)  # (B, K, N, D)
+    damping = ridge / start.n_components * torch.eye(D, dtype=x.dtype)
+    return torch.linalg.solve(weighted.mT @ x.unsqueeze(1) + damping, weighted.mT @ v.unsqueeze(1)).mT
+
+
+def _velocity_loss(v: Tensor, predicted: Tensor, direction: float) -> Tensor:
+    """The term of each sample, `(B, N)`. A length instead of its square forgives single samples."""
+    norms = (v.square().sum(-1) + 1e-8).sqrt() * (predicted.square().sum(-1) + 1e-4).sqrt()
+    turned = 1 - (v * predicted).sum(-1) / norms
+    return ((v - predicted).square().sum(-1) + SOFTNESS**2).sqrt() + direction * turned
+
+
+def _initial_metric(samples: _Samples) -> Tensor:
+    """The P (B, D, D) of trace D for which V = xᵀ P x rises least along the demonstrations.
+
+    The mean positive part of the cosine of P x and v is minimised from several random starts; the best of them is kept.
+    """
+    stride = max(samples.x.shape[1] // METRIC_SAMPLES, 1)
+    x, v = samples.x[:, ::stride], samples.v[:, ::stride]
+    v = v / v.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+    B, _, D = x.shape
+    generator = torch.Generator().manual_seed(0)
+    raw = torch.randn(METRIC_STARTS, 1, D, D, generator=generator, dtype=x.dtype)
+    raw[0] = 0.0  # the first start is P = I
+    raw = raw.repeat(1, B, 1, 1).requires_grad_()
+
+    def metric() -> Tensor:
+        factor = raw.tril(-1) + torch.diag_embed(raw.diagonal(dim1=-2, dim2=-1).exp())
+        return factor @ factor.mT
+
+    def rise() -> Tensor:
+        gradient = x @ metric()  # (starts, B, N, D)
+        cosine = (gradient * v).sum(-1) / gradient.norm(dim=-1).clamp(min=1e-9)
+        return cosine.clamp(min=0).mean(-1) + 1e-3 * raw.square().mean((-2, -1))
+
+    optimizer = torch.optim.Adam([raw], lr=0.2, betas=(0.9, 0.99))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 0.2, total_steps=METRIC_STEPS, pct_start=0.2)
+    for _ in range(METRIC_STEPS):
+        optimizer.zero_grad()
+        rise().sum().backward()
+        optimizer.step()
+        schedule.step()
+    with torch.no_grad():
+        P = metric()[rise().argmin(0), torch.arange(B)]
+        return P * (D / P.diagonal(dim1=-2, dim2=-1).sum(-1))[:, None, None]
+
+
+def _result(model: TrainableMixture, samples: _Samples, loss: Tensor, single: bool) -> StableFit:
+    """Back to the units of the data; padding becomes a copy of the first component, with prior zero."""
+    mask, goal = model.mask, samples.goal.unsqueeze(1)
+    x_scale, rate = samples.x_scale[:, None, None], (samples.v_scale / samples.x_scale)[:, None, None, None]
+    means = _padded(model.mean, mask[..., None]) * x_scale + goal
+    covariances = _padded(model.covariances, mask[..., None, None]) * x_scale.unsqueeze(-1) ** 2
+    A = _padded(model.A, mask[..., None, None]) * rate
+    P = torch.eye(goal.shape[-1], dtype=A.dtype).repeat(len(A), 1, 1) if model.P is None else model.P
+    b = -(A @ goal.unsqueeze(-1)).squeeze(-1)
+    parts = [model.priors, means, covariances, A, b, samples.goal, P, loss.double(), mask.sum(-1)]
+    priors, means, covariances, A, b, x_star, P, loss, n = (part[0] if single else part for part in parts)
+    return StableFit(GMRPolicy(priors, means, covariances, A, b), x_star, P, loss, n)
+
+
+def _padded(value: Tensor, mask: Tensor) -> Tensor:
+    return torch.where(mask, value, value[:, :1])

@@ -1,0 +1,91 @@
+"""How far a learned motion is from a demonstrated one; the measures of the field, with their units.
+
+Numbers of different papers compare only if sub-sampling, units and normalisation agree; here nothing is normalised.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from torchds.errors import InvalidArgumentError, MissingPackageError
+
+
+def velocity_rmse(v: Tensor, predicted: Tensor) -> Tensor:
+    """Mean over samples of √(mean over dimensions of squared errors) [velocity unit].
+
+    This is the "RMSE" of the LPV-DS evaluations: a mean of lengths divided by √D, not the root of a mean.
+
+    Args:
+        v: `(..., T, D)` demonstrated velocities.
+        predicted: `(..., T, D)` the policy's at the same positions.
+
+    Returns:
+        `(...)`.
+    """
+    return (v - predicted).square().mean(-1).sqrt().mean(-1)
+
+
+def direction_error(v: Tensor, predicted: Tensor) -> Tensor:
+    """ė: mean over samples of 1 − cos of the angle between both velocities, between 0 and 2 `(...)`.
+
+    Args:
+        v: `(..., T, D)` demonstrated velocities; a sample with a velocity of zero counts 1.
+        predicted: `(..., T, D)`.
+    """
+    return (1 - F.cosine_similarity(v, predicted, dim=-1, eps=1e-30)).mean(-1)
+
+
+def swept_area(x: Tensor, demonstrated: Tensor, n_points: int = 500) -> Tensor:
+    r"""The area between two paths [position unit²]: the swept error area of the CLF-DM paper (its Eq. 14).
+
+    .. math:: \sum_t area(x_t, x_{t+1}, y_{t+1}, y_t) = ½ \sum_t |(x_t - y_{t+1}) × (x_{t+1} - y_t)|,
+
+    with both paths first resampled to `n_points` at equal distances, so that speed does not enter. Where the paths
+    cross, the two triangles of a quadrilateral cancel, as in the shoelace formula.
+
+    Args:
+        x: `(T_1, D)` a path.
+        demonstrated: `(T_2, D)` the other.
+        n_points: after resampling.
+    """
+    p, q = (_equidistant(path, n_points) for path in (x, demonstrated))
+    a, b = p[:-1] - q[1:], p[1:] - q[:-1]
+    gram = a.square().sum(-1) * b.square().sum(-1) - (a * b).sum(-1).square()  # |a × b|² in any dimension
+    return 0.5 * gram.clamp(min=0).sqrt().sum()
+
+
+def dtwd(x: Tensor, demonstrated: Tensor) -> float:
+    """Dynamic time warping distance: the smallest sum of distances over all monotone matchings [position unit].
+
+    Ground distance Euclidean, no window, every sample of both paths matched, not divided by a number of samples: the
+    "DTWD" of the LPV-DS evaluations. It grows with the number of samples.
+
+    Args:
+        x: `(T_1, D)` a path.
+        demonstrated: `(T_2, D)` the other.
+
+    Raises:
+        MissingPackageError: dtaidistance is not installed.
+    """
+    try:
+        from dtaidistance import dtw_ndim
+    except ImportError as error:
+        raise MissingPackageError("dtaidistance", "metrics", "dynamic time warping") from error
+    a, b = (np.ascontiguousarray(path.detach().cpu().numpy(), dtype=np.float64) for path in (x, demonstrated))
+    return float(dtw_ndim.distance_fast(a, b, inner_dist="euclidean"))
+
+
+def _equidistant(path: Tensor, n: int) -> Tensor:
+    """N points at equal distances along a path `(T, D)`, both ends among them."""
+    if path.ndim != 2 or len(path) < 2:
+        raise InvalidArgumentError(f"a path has to be (T, D) with T ≥ 2, got {tuple(path.shape)}")
+    steps = torch.linalg.vector_norm(path.diff(dim=0), dim=-1)
+    length = F.pad(steps.cumsum(0), (1, 0))
+    at = torch.linspace(0, 1, n, dtype=path.dtype, device=path.device) * length[-1]
+    i = torch.searchsorted(length, at, right=True).clamp(1, len(path) - 1)
+    step = steps[i - 1]
+    share = torch.where(step > 0, (at - length[i - 1]) / step, 0.0)
+    return torch.lerp(path[i - 1], path[i], share.unsqueeze(-1))

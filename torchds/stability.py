@@ -1,0 +1,267 @@
+r"""Stability as one convex set of slopes: as a certificate, as a projection, and as a parametrisation (section 4.2).
+
+A mixture of linear systems Σ_k h_k(x) (A_k x + b_k) with b_k = −A_k x* has its fixed point at the goal x*, and
+V(x) = (x − x*)ᵀ P (x − x*) falls along every motion, whatever the gating, if all slopes are in the set
+
+.. math:: \{A : P A + A^T P \preceq -2\, margin\, P\}, \qquad P \succ 0,\; margin > 0.
+
+P = I is SEDS, any other P is P-QLF. In the coordinates z = C x with P = CᵀC the condition says that the symmetric part
+of C A C⁻¹ is below −margin I; hence |x − x*|_P ≤ e^{−margin t} |x_0 − x*|_P: the margin is a rate of convergence [1/s].
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, TypeVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from torchds.errors import InvalidArgumentError
+
+Policy = TypeVar("Policy", bound=nn.Module)
+
+
+class LinearExperts(Protocol):
+    """What a certificate looks at: slopes `A` `(*batch, K, D, D)` and offsets `b` `(*batch, K, D)`."""
+
+    @property
+    def A(self) -> Tensor:
+        """Slopes."""
+
+    @property
+    def b(self) -> Tensor:
+        """Offsets."""
+
+
+class Certificate(NamedTuple):
+    """What proves that all motions end at the goal, for any gating.
+
+    Attributes:
+        eigenvalues: `(*batch, K)` the largest generalised eigenvalue of (P A_k + A_kᵀ P) / 2 against P [1/s].
+        offset: `(*batch, K)` |b_k + A_k x*| [velocity unit].
+        stable: `(*batch,)` True where every eigenvalue is negative and every offset zero up to round-off.
+    """
+
+    eigenvalues: Tensor
+    offset: Tensor
+    stable: Tensor
+
+    @property
+    def margin(self) -> Tensor:
+        """The guaranteed rate of convergence `(*batch,)` [1/s]; negative where the condition is violated."""
+        return -self.eigenvalues.amax(-1)
+
+
+@torch.no_grad()
+def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) -> Certificate:
+    """Check the condition of this module.
+
+    A policy that fails may still be stable: the condition is sufficient, and it depends on P.
+
+    Args:
+        policy: a `GMRPolicy`, or anything with `A` and `b`.
+        goal: `(D,)` or `(*batch, D)`, the goal x*.
+        P: `(D, D)` or `(*batch, D, D)`; None for the identity.
+
+    Raises:
+        InvalidArgumentError: slopes that are not square, a goal of another dimension, or a P that is not symmetric
+            positive definite.
+
+    Example:
+        >>> import torch, torchds
+        >>> gate = torch.ones(1), torch.zeros(1, 2), torch.eye(2)[None]
+        >>> policy = torchds.GMRPolicy(*gate, A=torch.tensor([[[-1.0, 3.0], [0.0, -1.0]]]), b=torch.zeros(1, 2))
+        >>> for P in (None, torch.diag(torch.tensor([1.0, 9.0]))):
+        ...     print(policy.certificate(torch.zeros(2), P))
+        Certificate(eigenvalues=tensor([0.5000]), offset=tensor([0.]), stable=tensor(False))
+        Certificate(eigenvalues=tensor([-0.5000]), offset=tensor([0.]), stable=tensor(True))
+    """
+    A, b = policy.A.detach(), policy.b.detach()
+    D = A.shape[-1]
+    if A.shape[-2] != D:
+        raise InvalidArgumentError(f"stability needs as many velocities as inputs, got {A.shape[-2]} and {D}")
+    goal = _checked_goal(goal, D).to(A).unsqueeze(-2)
+    eigenvalues = largest_eigenvalue(A, None if P is None else P.to(A).unsqueeze(-3))
+    pull = (A @ goal.unsqueeze(-1)).squeeze(-1)
+    offset = torch.linalg.vector_norm(b + pull, dim=-1)
+    size = torch.linalg.vector_norm(b, dim=-1) + torch.linalg.matrix_norm(A) * torch.linalg.vector_norm(goal, dim=-1)
+    tied = offset <= 100 * torch.finfo(A.dtype).eps * size
+    return Certificate(eigenvalues, offset, ((eigenvalues < 0) & tied).all(-1))
+
+
+def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:
+    """The largest generalised eigenvalue of (P A + Aᵀ P) / 2 against P, `(...)` for `A` and `P` `(..., D, D)`.
+
+    Negative means that A is in the set; minus it is the rate at which |x|_P is certain to fall. Differentiable.
+    """
+    return torch.linalg.eigvalsh(_symmetric(_seen_by(P, A)))[..., -1]
+
+
+def stable_matrices(factor: Tensor, skew: Tensor, margin: float = 0.0, P: Tensor | None = None) -> Tensor:
+    r"""Slopes in the set from any tensors, A = P⁻¹ (−L Lᵀ + W − Wᵀ) − margin I.
+
+    Since P A + Aᵀ P = −2 L Lᵀ − 2 margin P, this is the whole set: `stable_factors` is the inverse.
+
+    Args:
+        factor: `(..., D, D)` L.
+        skew: `(..., D, D)` W.
+        margin: the rate of convergence [1/s].
+        P: `(..., D, D)`; None for the identity.
+
+    Returns:
+        `(..., D, D)`.
+    """
+    M = skew - skew.mT - factor @ factor.mT
+    return (M if P is None else torch.linalg.solve(P, M)) - margin * _identity_like(factor)
+
+
+def stable_factors(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Factor (lower triangular) and skew (strictly upper) of slopes that lie in the set: `stable_matrices` inverted.
+
+    Raises:
+        InvalidArgumentError: slopes that do not have this margin; `project` moves them.
+    """
+    M = A + margin * _identity_like(A)
+    M = M if P is None else P @ M
+    factor, info = torch.linalg.cholesky_ex(-_symmetric(M))
+    if info.any():
+        raise InvalidArgumentError(
+            f"{int((info != 0).sum())} of {info.numel()} slopes do not converge with a rate above {margin:g}; move them "
+            "into the set with project(A, margin, P), with a larger margin there than here"
+        )
+    return factor, ((M - M.mT) / 2).triu(1)
+
+
+def project(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> Tensor:
+    """The slopes of the set nearest to A, in the Frobenius norm of C A C⁻¹ with P = CᵀC; A itself if it is in the set.
+
+    The eigenvalues of the symmetric part are lowered to −margin where they are above; the rest of A stays.
+
+    Args:
+        A: `(..., D, D)`.
+        margin: the rate of convergence that the result has at least [1/s].
+        P: `(..., D, D)`; None for the identity.
+    """
+    values, vectors = torch.linalg.eigh(_symmetric(_seen_by(P, A)))
+    excess = (vectors * (values + margin).clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    if P is not None:
+        C = _root(P)
+        excess = torch.linalg.solve_triangular(C, excess @ C, upper=True)
+    return A - excess
+
+
+def constrain(policy: Policy, goal: Tensor, margin: float, P: Tensor | None = None) -> Policy:
+    """Let only free tensors of a policy be learned, from which its `A` and `b` follow as slopes and offsets of the set.
+
+    Any optimizer, Adam or L-BFGS among them, then trains a policy that is stable at every step. `A` becomes
+    `stable_matrices(factor, skew)` and `b` becomes −A x*, by `torch.nn.utils.parametrize`; the goal and P are kept as
+    frozen parameters. `parametrize.remove_parametrizations(policy, name)` for "b", then for "A", makes a plain policy again.
+
+    Args:
+        policy: a `GMRPolicy`; changed in place. Slopes outside the set are moved into it (`project`), offsets tied to the goal.
+        goal: `(D,)` or `(*batch, D)`, the goal x*.
+        margin: the rate of convergence that every policy keeps [1/s], above zero.
+        P: `(D, D)` or `(*batch, D, D)`; None for the identity.
+
+    Returns:
+        `policy`.
+
+    Raises:
+        InvalidArgumentError: a margin that is not above zero, or arguments that `certificate` refuses.
+
+    Example:
+        >>> import torch, torchds
+        >>> mixture = torchds.GaussianMixture(torch.ones(1), torch.ones(1, 4), torch.eye(4)[None])
+        >>> policy = torchds.GMRPolicy.from_mixture(mixture, input_dim=2)
+        >>> _ = torchds.stability.constrain(policy, goal=torch.zeros(2), margin=0.1)
+        >>> optim = torch.optim.Adam(policy.parameters())
+        >>> torchds.rollout(policy, torch.ones(2), n_steps=10, dt=0.1).x.sum().backward()
+        >>> optim.step()
+        >>> bool(policy.certificate(torch.zeros(2)).stable)
+        True
+    """
+    if not 0 < margin < float("inf"):
+        raise InvalidArgumentError(f"margin has to be above 0 and finite, got {margin}")
+    A: Tensor = policy.A.detach()  # type: ignore[operator]
+    certificate(policy, goal, P)  # type: ignore[arg-type]  # for its checks
+    batch, D = A.shape[:-3], A.shape[-1]
+    P = None if P is None else P.to(A).expand(*batch, D, D).clone()
+    parametrize.register_parametrization(policy, "A", _Slopes(margin, P))
+    parametrize.register_parametrization(policy, "b", _Offsets(policy, goal.to(A).expand(*batch, D).clone()))
+    frozen = [policy.parametrizations.b.original]  # type: ignore[union-attr]
+    frozen += [] if P is None else [policy.parametrizations.A.original2]  # type: ignore[union-attr]
+    for parameter in frozen:
+        parameter.requires_grad_(False)
+    return policy
+
+
+class _Slopes(nn.Module):
+    """A from factor, skew and P; P travels with them so that it is copied and indexed with the policy."""
+
+    SLACK = 1e-3  # relative: a policy on the boundary has no factor
+
+    def __init__(self, margin: float, P: Tensor | None) -> None:
+        super().__init__()
+        self.margin = margin
+        self._start = P
+
+    def forward(self, factor: Tensor, skew: Tensor, P: Tensor | None = None) -> Tensor:
+        return stable_matrices(factor, skew, self.margin, None if P is None else P.unsqueeze(-3))
+
+    def right_inverse(self, A: Tensor) -> tuple[Tensor, ...]:
+        P = self._start
+        metric = None if P is None else P.unsqueeze(-3)
+        inside = project(A, self.margin * (1 + self.SLACK), metric)
+        return (*stable_factors(inside, self.margin, metric), *([] if P is None else [P]))
+
+
+class _Offsets(nn.Module):
+    """B = −A x*, whose only tensor is the goal."""
+
+    def __init__(self, policy: nn.Module, goal: Tensor) -> None:
+        super().__init__()
+        self._policy = (policy,)  # in a tuple, so that it does not become a submodule of its own part
+        self._start = goal
+
+    def forward(self, goal: Tensor) -> Tensor:
+        A: Tensor = self._policy[0].A  # type: ignore[assignment]
+        return -(A @ goal[..., None, :, None]).squeeze(-1)
+
+    def right_inverse(self, b: Tensor) -> Tensor:
+        return self._start
+
+
+def _symmetric(M: Tensor) -> Tensor:
+    return (M + M.mT) / 2
+
+
+def _identity_like(M: Tensor) -> Tensor:
+    return torch.eye(M.shape[-1], dtype=M.dtype, device=M.device)
+
+
+def _root(P: Tensor) -> Tensor:
+    """C, upper triangular, with P = CᵀC."""
+    factor, info = torch.linalg.cholesky_ex(P)
+    asymmetric = (P - P.mT).abs() > 1e-5 * P.abs().amax((-2, -1), keepdim=True)
+    if info.any() or asymmetric.any():
+        raise InvalidArgumentError(f"P has to be symmetric positive definite, got {P.tolist()}")
+    return factor.mT
+
+
+def _seen_by(P: Tensor | None, A: Tensor) -> Tensor:
+    """C A C⁻¹: the same motion in the coordinates z = C x, in which |x|_P is the length."""
+    if P is None:
+        return A
+    if P.shape[-2:] != A.shape[-2:]:
+        raise InvalidArgumentError(
+            f"P has to be (..., {A.shape[-1]}, {A.shape[-1]}) for these slopes, got {tuple(P.shape)}"
+        )
+    C = _root(P)
+    return torch.linalg.solve_triangular(C, C @ A, upper=True, left=False)
+
+
+def _checked_goal(goal: Tensor, dim: int) -> Tensor:
+    if goal.shape[-1:] != (dim,) or not goal.isfinite().all():
+        raise InvalidArgumentError(f"goal has to be finite and end with {dim} dimensions, got {goal.tolist()}")
+    return goal
