@@ -51,7 +51,13 @@ DT = 0.1  # s
 
 # 100 updates of 10 roll-outs, with noise of 2 N/m in the stiffness beside that of the motion.
 ARCH_SEARCH = SearchSettings(
-    n_updates=100, n_rollouts=10, control_weight=1e-6, mean_stiffness=2.0, spread=0.2, stiffness_spread=2.0
+    n_updates=100,
+    n_rollouts=10,
+    control_weight=1e-6,
+    mean_stiffness=2.0,
+    spread=0.1,
+    stiffness_spread=2.0,
+    damping=1e-3,
 )
 RELEASED_ARCH_SEARCH = replace(RELEASED_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=10.0)
 
@@ -76,7 +82,7 @@ def arch_demonstrations(bias: float) -> Demonstrations:
     bump, wave = torch.sin(math.pi * s)[:, None], torch.sin(2 * math.pi * s)[:, None]
     fade = (1 - s)[:, None]
     starts = torch.tensor([[0.0, -0.3], [0.2, 0.0], [-0.2, 0.3]], dtype=torch.float64)
-    motions = [x + (bias * bump + 0.15 * (i - 1) * wave) * normal + fade * start for i, start in enumerate(starts)]
+    motions = [x + (bias * bump + 0.3 * (i - 1) * wave) * normal + fade * start for i, start in enumerate(starts)]
     return Demonstrations(motions, dt=14.0 / 140, units="m")
 
 

@@ -31,7 +31,10 @@ class SearchSettings:
         control_weight: r of the control cost r I.
         mean_speed: of the homogeneous exploration [velocity unit of the task].
         rule: of the homogeneous exploration.
+        std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
         spread: of the exploration along the motion [position unit of the task].
+        widening: of the exploration along the motion (see `TrajectorySpace`).
+        damping: of the same.
         mean_stiffness: of the noise in each stiffness row [N/m].
         stiffness_spread: of the exploration along the motion, in the stiffness [N/m].
         temperature: the spread of costs that scales the weights.
@@ -44,7 +47,10 @@ class SearchSettings:
     control_weight: float = 5e-4
     mean_speed: float = 0.1
     rule: Rule = "moment"
+    std: float = 0.01
     spread: float = 0.5
+    widening: float = 3.0
+    damping: float = 1e-4
     mean_stiffness: float = 0.0
     stiffness_spread: float | None = None
     temperature: Temperature = "range"
@@ -60,6 +66,7 @@ class Scene:
         starts: `(S, D)`.
         goal: `(D,)`.
         via_points: sets of `(L, D)` points by name.
+        walls: `(W, 2, D)` the ends of each; None without.
         unit: of positions.
     """
 
@@ -67,6 +74,7 @@ class Scene:
     goal: Tensor
     via_points: dict[str, Tensor] = field(default_factory=dict)
     unit: str = ""
+    walls: Tensor | None = None
 
 
 class Task(ABC):

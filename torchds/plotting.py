@@ -86,7 +86,7 @@ def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("
     axes.set_xlabel(names[0] + suffix)
     axes.set_ylabel(names[1] + suffix)
     axes.set_title(title)
-    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False)
+    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5, ncols=3, frameon=False)
 
 
 def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, Any], *, total: str = "total") -> None:

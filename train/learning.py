@@ -34,6 +34,7 @@ class Learner:
         self.closure = make_closure(self.optim, self.task, self.policy)
         self.n_updates = n_updates(options, self.task)
         self.history = History()
+        self.path: Rollout | None = None
 
     @property
     def done(self) -> int:
@@ -43,7 +44,7 @@ class Learner:
     def start(self) -> None:
         """Evaluate the initial policy, once."""
         if not self.history.cost:
-            self.history.add(0, self.evaluate()[1], failed=0)
+            self.history.add(0, self.evaluate(), failed=0)
 
     def update(self) -> float:
         """One update and a noise-free evaluation; returns the seconds it took."""
@@ -51,7 +52,7 @@ class Learner:
         self.optim.step(self.closure)
         self.decay.step()
         failed = int(self.optim.last.failed.sum()) if self.optim.last else 0
-        self.history.add(self.history.rollouts[-1] + self.optim.n_rollouts, self.evaluate()[1], failed)
+        self.history.add(self.history.rollouts[-1] + self.optim.n_rollouts, self.evaluate(), failed)
         seconds = time.perf_counter() - began
         self.history.seconds += seconds
         return seconds
@@ -64,9 +65,10 @@ class Learner:
         return self
 
     @torch.no_grad()
-    def evaluate(self) -> tuple[Rollout, dict[str, torch.Tensor]]:
-        """A noise-free trial of the present policies and its cost terms."""
-        return self.task.evaluate(self.policy)
+    def evaluate(self) -> dict[str, torch.Tensor]:
+        """The cost terms of a noise-free trial of the present policies, whose roll-out is kept in `path`."""
+        self.path, terms = self.task.evaluate(self.policy)
+        return terms
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that a checkpoint needs to continue bit for bit."""

@@ -85,4 +85,41 @@ class TwoStartsOptions(RunOptions):
     task: ClassVar[str] = "two_starts"
 
 
-TASK_OPTIONS: dict[str, type[RunOptions]] = {cls.task: cls for cls in (ViaPointOptions, TwoStartsOptions)}
+@dataclass
+class ArchOptions(RunOptions):
+    """What the force-field tasks share."""
+
+    initial_stiffness: float | None = None
+    """Constant stiffness before learning [N/m]; the task's own if not given."""
+    learn: Literal["both", "motion", "stiffness"] = "both"
+    """What the homogeneous exploration perturbs: motion and stiffness, or one of them."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The common options and the initial stiffness."""
+        return super().task_options() | {"initial_stiffness": self.initial_stiffness}
+
+
+@dataclass
+class DivergentFieldOptions(ArchOptions):
+    """Learn motion and stiffness in a divergent force field (section 5.4, first experiment)."""
+
+    task: ClassVar[str] = "divergent_field"
+
+
+@dataclass
+class HalfPlaneForceOptions(ArchOptions):
+    """Learn motion and stiffness under a force that is there in half of the executions (second experiment)."""
+
+    task: ClassVar[str] = "half_plane_force"
+
+    stiffness: Literal["diagonal", "isotropic"] = "diagonal"
+    """A stiffness for each axis, or one for both."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The common options, the initial stiffness and its kind."""
+        return super().task_options() | {"stiffness": self.stiffness}
+
+
+TASK_OPTIONS: dict[str, type[RunOptions]] = {
+    cls.task: cls for cls in (ViaPointOptions, TwoStartsOptions, DivergentFieldOptions, HalfPlaneForceOptions)
+}

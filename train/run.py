@@ -124,6 +124,9 @@ def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
         writer.add_scalar(name, value, update)
     for name, values in history.terms.items():
         writer.add_scalar(f"cost/{name}", median(values[-1]), update)
+    if learner.path is not None:
+        for tag, value in learner.task.diagnostics(learner.path).items():
+            writer.add_scalar(tag, value.median(), update)
     writer.add_scalar("rollouts/total", history.rollouts[-1], update)
     writer.add_scalar("rollouts/failed", history.failed[-1], update)
     writer.add_scalar("exploration/lr", optim.param_groups[0]["lr"], update)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tasks import Task
 from torchds import GMRPolicy
+from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration, Gaussian, Homogeneous, TrajectorySpace
 from torchds.optim import PI2, PIBB, ExponentialDecay, InverseIteration, LinearDecay, PolicySearch
 from train.options import RunOptions
@@ -20,11 +21,27 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
     """The exploration that `--exploration` and `--noise` name."""
     if options.exploration == "gaussian":
         return Gaussian(GAUSSIAN_STD if options.noise is None else options.noise)
+    search, learn = task.search, getattr(options, "learn", "both")
     if options.exploration == "trajectory":
-        spread = task.search.spread if options.noise is None else options.noise
-        return TrajectorySpace(policy, **task.motion(), spread=spread, mean_speed=task.search.mean_speed)
-    mean_speed = task.search.mean_speed if options.noise is None else options.noise
-    return Homogeneous(policy, mean_speed, task.search.rule)
+        if learn != "both":
+            raise InvalidArgumentError(f"--learn {learn} goes with --exploration homogeneous, not trajectory")
+        return TrajectorySpace(
+            policy,
+            **task.motion(),
+            spread=search.spread if options.noise is None else options.noise,
+            stiffness_spread=search.stiffness_spread,
+            mean_speed=search.mean_speed,
+            mean_stiffness=search.mean_stiffness,
+            widening=search.widening,
+            damping=search.damping,
+        )
+    mean_speed = search.mean_speed if options.noise is None else options.noise
+    return Homogeneous(
+        policy,
+        0.0 if learn == "stiffness" else mean_speed,
+        search.rule,
+        mean_stiffness=0.0 if learn == "motion" else search.mean_stiffness,
+    )
 
 
 def make_optimizer(options: RunOptions, task: Task, policy: GMRPolicy) -> PolicySearch:
