@@ -92,7 +92,7 @@ class ImpedanceControlled:
         if self.stiffness is not None:
             return torch.as_tensor(self.stiffness, dtype=x.dtype, device=x.device).expand_as(x)
         n_axes, n_rows = x.shape[-1], 0 if rows is None else rows.shape[-1]
-        index = list(self.rows) if self.rows is not None else [0] * n_axes if n_rows == 1 else list(range(n_axes))
+        index = list(self.rows) if self.rows is not None else [0] * n_axes if n_rows == 1 else list(range(n_rows))
         if rows is None or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
             received = "a policy without stiffness" if rows is None else f"{n_rows} stiffness rows"
             raise InvalidArgumentError(
