@@ -158,13 +158,16 @@ class PolicySearch(torch.optim.Optimizer):
             """One update; every search has its own, since torch wraps it once per class for hooks."""
 
     @abstractmethod
-    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+    def _update(
+        self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
+    ) -> Tensor:
         """Change the parameters of one group.
 
         Args:
             group: the group.
             noise: `(N, *shape)` for each of its parameters.
-            costs: what the closure returned, as a whole (see `Trial`).
+            cost: `(N, *batch)` of whole roll-outs, control cost included.
+            steps: what the closure returned, per step where `costs_per_step` says so.
             control: Υ along the roll-outs; empty if the control weight is zero.
 
         Returns:
@@ -244,7 +247,7 @@ class PolicySearch(torch.optim.Optimizer):
             )
         if self.elite == "best":
             self._remember(cost, noise)
-        weights = [self._update(group, epsilons, trial.costs, control) for group, epsilons in groups]
+        weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
         self._forget()
         self.last = Update(cost, effort, weights[0], failed)
         return torch.where(failed, 0.0, cost).sum(0) / (~failed).sum(0)

@@ -117,9 +117,11 @@ class PI2(PolicySearch):
                 f"PI2 moves the parameters of the policy that made the roll-out, got others of shape {strangers}; use PIBB"
             )
 
-    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
+    def _update(
+        self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
+    ) -> Tensor:
         part = control[0]
-        to_go = cost_to_go(costs, part.upsilon)
+        to_go = cost_to_go(steps, part.upsilon)
         weights = cost_weights(to_go, group["eliteness"], group["temperature"])
         policy, features = part.visit
         # A roll-out that failed does not count, nor does a state at infinity.

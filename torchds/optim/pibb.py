@@ -98,9 +98,10 @@ class PIBB(PolicySearch):
         """
         return self._step(closure)
 
-    def _update(self, group: dict[str, Any], noise: list[Tensor], costs: Tensor, control: list[Control]) -> Tensor:
-        total = costs + sum(0.5 * part.upsilon.flatten(costs.ndim).sum(-1) for part in control)
-        weights = cost_weights(total, group["eliteness"], group["temperature"])
+    def _update(
+        self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
+    ) -> Tensor:
+        weights = cost_weights(cost, group["eliteness"], group["temperature"])
         for p, epsilon in zip(group["params"], noise, strict=True):
             p.add_((weights.reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim)) * epsilon).sum(0))
         return weights
