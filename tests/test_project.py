@@ -26,7 +26,7 @@ LADDER = [
     {"visits"},
     {"mixture", "demonstrations", "recordings", "costs", "stability", "metrics"},
     {"policy", "trainable"},
-    {"plants"},
+    {"plants", "cartesian"},
     {"impedance", "rollouts"},
     {"sensitivity", "fits"},
     {"exploration"},

@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command, Motion, PointMass
 from torchds.rollouts import Rollout

@@ -1,0 +1,202 @@
+"""Cartesian impedance: the law in closed form, on the arm in MuJoCo, and on an arm with three joints."""
+
+import pytest
+import torch
+
+from torchds.cartesian import PlaneReference
+from torchds.errors import InvalidArgumentError
+from torchds.impedance import CartesianImpedance
+
+mujoco = pytest.importorskip("mujoco")
+pk = pytest.importorskip("pytorch_kinematics")
+
+import numpy as np  # noqa: E402
+import scipy.linalg  # noqa: E402
+
+from tasks.digging import lwr  # noqa: E402
+
+THREE_JOINTS = """<robot name="three"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tool"/>
+{}<joint name="t" type="fixed"><parent link="l3"/><child link="tool"/><origin xyz="0.1 0 0" rpy="0 0 0"/></joint></robot>
+""".format(
+    "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{0.3 * (i > 0)} 0 0"'
+        f' rpy="0 0 0"/><axis xyz="0 -1 0"/><limit lower="-3" upper="3" effort="10" velocity="3"/></joint>'
+        for i in range(3)
+    )
+)
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return lwr.chain()
+
+
+@pytest.fixture(scope="module")
+def start():
+    x, z, angle = torch.tensor([0.62, 0.20, -0.3], dtype=torch.float64)
+    return lwr.posture(x, z, angle)
+
+
+def at(x, z, angle, batch=()):
+    full = torch.tensor([x, z, angle], dtype=torch.float64).expand(*batch, 3)
+    return PlaneReference(full[..., :2], full[..., 2], torch.zeros_like(full[..., :2]), torch.zeros_like(full[..., 2]))
+
+
+def random_state(randn, start, batch, n=7):
+    """Arms near a posture, with any mass matrix."""
+    root = randn(*batch, n, n)
+    mass = root @ root.mT + 0.5 * torch.eye(n, dtype=torch.float64)
+    return start + 0.3 * randn(*batch, n), randn(*batch, n), mass, randn(*batch, n)
+
+
+def simulate(control, q, reference, stiffness, seconds, dt, force=(0.0, 0.0, 0.0)):
+    """Poses (T+1, 3) of the tool, (x, z, angle), in MuJoCo without friction, and the mass matrix at the start."""
+    model = lwr.spec().compile()
+    model.opt.timestep, model.dof_damping[:] = dt, 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    site, tool, first, path = model.site("tool").id, model.body("tool").id, None, []
+    for _ in range(round(seconds / dt)):
+        M = np.zeros((7, 7))
+        mujoco.mj_fullM(model, data, M)
+        first = M if first is None else first
+        state = (torch.from_numpy(a.copy()) for a in (data.qpos, data.qvel, M, data.qfrc_bias))
+        asked = control(*state, reference, stiffness)
+        path.append(torch.cat([asked.x, asked.angle[None]]))
+        data.ctrl[:] = asked.torque
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), data.site_xpos[site], tool, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+    return torch.stack(path), torch.from_numpy(first)
+
+
+def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
+    """Λ ë + D ė + K e = 0 solved by the generalised eigenvectors of (K, Λ): each mode is (1 + ω t) exp(−ω t)."""
+    control = CartesianImpedance(chain, start)
+    offset = torch.tensor([2e-3, -1e-3, 4e-3], dtype=torch.float64)
+    dt, reference = 1e-3, at(0.62 + 2e-3, 0.20 - 1e-3, -0.3 + 4e-3)
+    path, M = simulate(control, start, reference, 300.0, 0.8, dt)
+    J = chain.jacobian(start[None], ret_eef_pose=True)[0][0]
+    inertia = torch.linalg.inv(J @ torch.linalg.solve(M, J.T)).numpy()
+    K = np.diag([300.0, 1500.0, 300.0, 100.0, 30.0, 100.0])
+    squares, modes = scipy.linalg.eigh(K, 0.5 * (inertia + inertia.T))  # modesᵀ Λ modes = 1
+    e0 = np.array([offset[0], 0, offset[1], 0, -offset[2], 0])
+    t = dt * np.arange(len(path))[:, None]
+    decay = (1 + np.sqrt(squares) * t) * np.exp(-np.sqrt(squares) * t)
+    predicted = (decay * (modes.T @ inertia @ e0)) @ modes.T
+    error = offset + torch.tensor([0.62, 0.20, -0.3], dtype=torch.float64) - path
+    expected = torch.from_numpy(predicted[:, [0, 2, 4]]) * torch.tensor([1, 1, -1])
+    assert float((error - expected).abs().max() / offset.abs().max()) < 0.02  # 1 ms steps
+    assert float(error[-1].norm() / error[0].norm()) < 0.1
+
+
+@pytest.mark.parametrize("stiffness", [150.0, 450.0])
+def test_a_constant_force_displaces_by_force_over_stiffness(chain, start, stiffness):
+    control = CartesianImpedance(chain, start)
+    path, _ = simulate(control, start, at(0.62, 0.20, -0.3), stiffness, 6.0, 4e-3, force=(6.0, 0.0, -3.0))
+    moved = path[-1, :2] - torch.tensor([0.62, 0.20], dtype=torch.float64)
+    torch.testing.assert_close(moved, torch.tensor([6.0, -3.0], dtype=torch.float64) / stiffness, rtol=2e-3, atol=0)
+
+
+def three_joints():
+    return pk.build_serial_chain_from_urdf(THREE_JOINTS, "tool").to(dtype=torch.float64)
+
+
+@pytest.mark.parametrize("joints", [3, 7])
+def test_damping_is_twice_the_root_of_stiffness_in_the_metric_of_the_mass(chain, start, randn, joints):
+    """D_q M⁻¹ D_q = 4 ζ² K_q with K_q = Jᵀ K J, also where the task inertia does not exist (three joints)."""
+    arm = chain if joints == 7 else three_joints()
+    posture = start if joints == 7 else torch.tensor([0.3, 0.8, -0.5], dtype=torch.float64)
+    control = CartesianImpedance(arm, posture, damping_ratio=0.7, posture_stiffness=0.0, posture_damping=0.0)
+    q, _, mass, bias = random_state(randn, posture, (joints,), joints)
+    q, mass, bias = q[:1].expand_as(q), mass[:1].expand_as(mass), bias[:1].expand_as(bias)
+    reference, speeds = at(0.5, 0.2, 0.1), torch.eye(joints, dtype=torch.float64)
+    moving = control(q, speeds, mass, bias, reference, 200.0).torque
+    resting = control(q, torch.zeros_like(speeds), mass, bias, reference, 200.0).torque
+    D = (resting - moving).T
+    J = arm.jacobian(q[:1], ret_eef_pose=True)[0][0]
+    K = torch.diag(torch.tensor([200.0, 1500.0, 200.0, 100.0, 20.0, 100.0], dtype=torch.float64))
+    torch.testing.assert_close(D @ torch.linalg.solve(mass[0], D), 4 * 0.49 * J.T @ K @ J, rtol=1e-7, atol=1e-6)
+    torch.testing.assert_close(D, D.T, rtol=1e-7, atol=1e-6)
+
+
+def test_the_nullspace_torque_does_not_accelerate_the_tool(chain, start, randn):
+    q, v, mass, bias = random_state(randn, start, (50,))
+    asked = CartesianImpedance(chain, start)(q, v, mass, bias, at(0.6, 0.2, 0.0), 300.0)
+    J = chain.jacobian(q, ret_eef_pose=True)[0]
+    acceleration = J @ torch.linalg.solve(mass, asked.nullspace.unsqueeze(-1))
+    assert asked.nullspace.abs().amax(-1).min() > 1e-3
+    assert float(acceleration.abs().max()) < 1e-10
+
+
+def test_a_tool_that_moves_with_its_reference_is_not_damped(chain, start, randn):
+    q = start.expand(1, 7)
+    v = 0.1 * start.new_tensor([[0, 1, 0, -0.5, 0, 0.8, 0]])
+    J, pose = chain.jacobian(q, ret_eef_pose=True)
+    xdot = (J @ v.unsqueeze(-1)).squeeze(-1)
+    reference = PlaneReference(
+        pose[..., (0, 2), 3], torch.full((1,), -0.3, dtype=torch.float64), xdot[..., (0, 2)], -xdot[..., 4]
+    )
+    control = CartesianImpedance(chain, start, posture_damping=0.0)
+    mass = torch.eye(7, dtype=torch.float64).expand(1, 7, 7)
+    asked = control(q, v, mass, torch.zeros_like(q), reference, 300.0)
+    assert float(asked.torque.abs().max()) < 1e-4  # offsets of the chain are rounded to float32: 1500 N/m × 1e-8 m
+
+
+def test_torques_stay_within_limits_and_say_so(chain, start, randn):
+    q, v, mass, bias = random_state(randn, start, (20,))
+    limit = torch.tensor(lwr.EFFORTS, dtype=torch.float64)
+    free = CartesianImpedance(chain, start)(q, v, mass, bias, at(0.9, 0.5, 1.0), 450.0)
+    held = CartesianImpedance(chain, start, torque_limit=limit)(q, v, mass, bias, at(0.9, 0.5, 1.0), 450.0)
+    assert (free.torque.abs() > limit).any() and (held.torque.abs() <= limit).all()
+    assert not free.saturated.any()
+    torch.testing.assert_close(held.saturated, free.torque.abs() > limit)
+    torch.testing.assert_close(held.torque[~held.saturated], free.torque[~held.saturated])
+
+
+def test_a_batch_equals_a_loop(chain, start, randn):
+    control = CartesianImpedance(chain, start, torque_limit=lwr.EFFORTS)
+    state = random_state(randn, start, (2, 3))
+    stiffness = 100 + 300 * randn(2, 3).abs()
+    together = control(*state, at(0.6, 0.2, 0.1, (2, 3)), stiffness)
+    for i in range(2):
+        for j in range(3):
+            alone = control(*(a[i, j] for a in state), at(0.6, 0.2, 0.1), stiffness[i, j])
+            for one, all_ in zip(alone, together, strict=True):
+                torch.testing.assert_close(one, all_[i, j], rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-10, 0.5, 3.0])
+def test_the_error_of_the_angle_is_exact(chain, start, turn):
+    control, zero = CartesianImpedance(chain, start), torch.zeros(7, dtype=torch.float64)
+    asked = control(start, zero, torch.eye(7, dtype=torch.float64), zero, at(0.62, 0.20, -0.3 + turn), 100.0)
+    expected = torch.tensor([0, 0, 0, 0, -turn, 0], dtype=torch.float64)
+    torch.testing.assert_close(asked.error, expected, atol=3e-7, rtol=0)
+    torch.testing.assert_close(float(asked.angle), -0.3, atol=3e-7, rtol=0)
+
+
+def test_an_arm_in_a_singular_posture_gets_finite_torques(chain, start):
+    control, zero = CartesianImpedance(chain, start), torch.zeros(7, dtype=torch.float64)
+    asked = control(zero, zero + 0.1, torch.eye(7, dtype=torch.float64), zero, at(0.6, 0.2, 0.0), 300.0)
+    assert asked.torque.isfinite().all()
+
+
+def test_bad_arguments_are_refused_by_name(chain, start, randn):
+    for options, message in (
+        ({"plane": "zx"}, "plane has to be"),
+        ({"damping_ratio": -1.0}, "damping_ratio has to be ≥ 0"),
+        ({"stiffness_outside": (1.0, -2.0)}, r"stiffness_outside\[1\]"),
+        ({"torque_limit": [1.0]}, "torque_limit needs 7"),
+    ):
+        with pytest.raises(InvalidArgumentError, match=message):
+            CartesianImpedance(chain, start, **options)
+    control, state = CartesianImpedance(chain, start), random_state(randn, start, (2,))
+    with pytest.raises(InvalidArgumentError, match="stiffness has to be ≥ 0"):
+        control(*state, at(0.6, 0.2, 0.0), -1.0)
+    with pytest.raises(InvalidArgumentError, match="mass has to be"):
+        control(*state[:2], state[2][0], state[3], at(0.6, 0.2, 0.0), 1.0)
+    with pytest.raises(InvalidArgumentError, match=r"q has to be .* in torch.float64"):
+        control(state[0].float(), *state[1:], at(0.6, 0.2, 0.0), 1.0)
