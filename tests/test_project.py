@@ -117,7 +117,7 @@ def test_importing_torchds_needs_neither_the_extras_nor_the_checkout(tmp_path):
     (target / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
     code = (
         "import sys, torchds; assert torchds.__file__.startswith(sys.argv[1]), torchds.__file__;"
-        "extras = {'matplotlib', 'tensorboard', 'tyro', 'mujoco', 'pytorch_kinematics', 'tasks', 'train'};"
+        "extras = {'matplotlib', 'tensorboard', 'tyro', 'dtaidistance', 'mujoco', 'pytorch_kinematics', 'tasks', 'train'};"
         "assert not extras & set(sys.modules), extras & set(sys.modules)"
     )
     python = tmp_path / "venv" / "bin" / "python"

@@ -56,6 +56,7 @@ class StableFit(NamedTuple):
         return self.policy.certificate(self.goal, self.P)
 
 
+@torch.enable_grad()
 def fit_stable(
     demos: Motions,
     n_components: int | Literal["bic"] | Sequence[int] = "bic",
@@ -145,7 +146,8 @@ def fit_stable(
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, lr, total_steps=n_steps, pct_start=0.2)
     for _ in range(n_steps):
         optimizer.zero_grad()
-        jitter = torch.randn(x.shape[1:], generator=generator)  # the same for all: a fit does not depend on its batch
+        # The same for all: a fit does not depend on its batch.
+        jitter = torch.randn(x.shape[1:], generator=generator, dtype=x.dtype)
         losses(x + width * jitter).sum().backward()
         optimizer.step()
         schedule.step()

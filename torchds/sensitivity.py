@@ -19,7 +19,7 @@ def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor
         J: `sensitivity(policy, path)`, since the stiffness depends on where the reference is.
     """
     O = policy.output_dim
-    x = path.reference[..., :-1, :]
+    x = path.inputs
     before = torch.cat([torch.zeros_like(J[..., :1, :, :]), J[..., :-1, :, :]], -3)
     return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ before
 
@@ -39,7 +39,7 @@ def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
         path: its roll-out.
     """
     D = policy.input_dim
-    x = path.reference[..., :-1, :]
+    x = path.inputs
     eye = torch.eye(D, dtype=x.dtype, device=x.device)
     push = path.dt * policy.basis(x)[..., :D, :]  # (*batch, *points, T, D, P)
     turn = eye + path.dt * policy.jacobian(x)[..., :D, :]  # (*batch, *points, T, D, D)

@@ -130,20 +130,21 @@ def stable_factors(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> t
             f"{int((info != 0).sum())} of {info.numel()} slopes do not converge with a rate above {margin:g}; move them "
             "into the set with project(A, margin, P), with a larger margin there than here"
         )
-    return factor, ((M - M.mT) / 2).triu(1)
+    return factor.contiguous(), ((M - M.mT) / 2).triu(1)
 
 
-def project(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> Tensor:
+def project(A: Tensor, margin: float | Tensor = 0.0, P: Tensor | None = None) -> Tensor:
     """The slopes of the set nearest to A, in the Frobenius norm of C A C⁻¹ with P = CᵀC; A itself if it is in the set.
 
     The eigenvalues of the symmetric part are lowered to −margin where they are above; the rest of A stays.
 
     Args:
         A: `(..., D, D)`.
-        margin: the rate of convergence that the result has at least [1/s].
+        margin: the rate of convergence that the result has at least, number or `(...)` [1/s].
         P: `(..., D, D)`; None for the identity.
     """
     values, vectors = torch.linalg.eigh(_symmetric(_seen_by(P, A)))
+    margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device).unsqueeze(-1)
     excess = (vectors * (values + margin).clamp(min=0).unsqueeze(-2)) @ vectors.mT
     if P is not None:
         C = _root(P)

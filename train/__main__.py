@@ -6,11 +6,13 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import threadpoolctl
 import torch
 import tyro
 
 from torchds.errors import TorchdsError
 from train import benchmark
+from train.benchmark_lasa import BenchmarkLasa
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper import Figures
 from train.run import Interrupted, run
@@ -18,13 +20,20 @@ from train.run import Interrupted, run
 
 def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
-    commands: dict[str, Callable[..., Any]] = {**TASK_OPTIONS, "figures": Figures, "benchmark": benchmark.Benchmark}
+    commands: dict[str, Callable[..., Any]] = {
+        **TASK_OPTIONS,
+        "figures": Figures,
+        "benchmark": benchmark.Benchmark,
+        "benchmark_lasa": BenchmarkLasa,
+    }
     options: Any = tyro.extras.subcommand_cli_from_dict(
         commands, prog="python -m train", description=__doc__, config=(tyro.conf.FlagConversionOff,)
     )
-    torch.set_num_threads(1)  # small tensors: a second thread costs more than it gives, and results depend on one only
+    # Small tensors: a second thread costs more than it gives, and results depend on one only.
+    torch.set_num_threads(1)
     try:
-        run(options) if isinstance(options, RunOptions) else options.main()
+        with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
+            run(options) if isinstance(options, RunOptions) else options.main()
     except TorchdsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 from torchds import Bounds, GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
+from torchds.sensitivity import sensitivity
 
 CLOSE = {"rtol": 1e-12, "atol": 1e-12}
 
@@ -269,6 +270,13 @@ def test_a_motion_follows_its_moving_target():
     assert_close(path.x[-1], c * (5.0 - 1.0 + np.exp(-5.0)), rtol=0, atol=1e-3)
     assert times[:3] == [0.0, 0.001, 0.002]
     assert len(times) == 5000
+
+
+def test_the_sensitivity_of_a_shifted_roll_out_is_that_of_the_motion_elsewhere(random_policy, randn):
+    policy, x0, shift = random_policy(), randn(4, 2), randn(2)
+    here = sensitivity(policy, rollout(policy, x0, n_steps=8, dt=0.1))
+    there = sensitivity(policy, rollout(policy, x0 + shift, n_steps=8, dt=0.1, shift=shift))
+    assert_close(there, here, **CLOSE)
 
 
 def test_a_motion_that_ends_at_its_goal_ends_at_the_shifted_one():

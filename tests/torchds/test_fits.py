@@ -1,0 +1,218 @@
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchds
+from torchds import Demonstrations, fit_mixtures, fit_stable, metrics, rollout
+from torchds.errors import InvalidArgumentError, UnknownNameError
+
+
+def motion(name, n_demos=3):
+    return torchds.load_lasa(name, n_demos).every(10)
+
+
+@pytest.fixture(scope="module")
+def angle():
+    return motion("Angle")
+
+
+@pytest.fixture(scope="module")
+def fitted(angle):
+    """A fit of each condition to one motion, EM and all."""
+    return {
+        condition: fit_stable(angle, n_components=5, condition=condition, n_steps=250)
+        for condition in ("none", "seds", "p-qlf")
+    }
+
+
+def error(fit, demos):
+    x, v, _ = demos.stacked()
+    return float(metrics.velocity_rmse(v, fit.policy(x).detach()))
+
+
+# ---------------------------------------------------------------------- what a fit promises
+
+
+@pytest.mark.parametrize(("condition", "bound"), [("none", 5.0), ("seds", 5.8), ("p-qlf", 5.5)])
+def test_a_fit_is_close_to_the_demonstrations(fitted, angle, condition, bound):
+    """In mm/s, at a mean speed of 33; the mixture that the fits start from, which is not stable, has 3.9."""
+    assert error(fitted[condition], angle) < bound
+
+
+@pytest.mark.parametrize("condition", ["seds", "p-qlf"])
+def test_a_fit_is_certified_with_its_margin(fitted, angle, condition):
+    fit = fitted[condition]
+    x, v, _ = angle.stacked()
+    rate = float((v.square().mean() / (x - fit.goal).square().mean()).sqrt())
+    proof = fit.certificate()
+    assert proof.stable
+    assert float(proof.margin) >= 0.03 * rate * (1 - 1e-9)
+    assert_close(fit.policy.b.data, -(fit.policy.A.data @ fit.goal), rtol=1e-12, atol=1e-12)
+
+
+def test_the_metric_is_the_identity_for_seds_and_learned_for_p_qlf(fitted):
+    eye = torch.eye(2, dtype=torch.float64)
+    assert torch.equal(fitted["seds"].P, eye)
+    assert (fitted["p-qlf"].P - eye).abs().max() > 0.1
+    assert float(fitted["p-qlf"].P.trace()) == pytest.approx(2.0)
+    assert float(fitted["p-qlf"].loss) < float(fitted["seds"].loss)
+
+
+@pytest.mark.parametrize("condition", ["seds", "p-qlf"])
+def test_every_start_ends_at_the_goal(fitted, condition):
+    fit = fitted[condition]
+    side = torch.linspace(-150, 150, 8, dtype=torch.float64)
+    path = rollout(fit.policy, torch.cartesian_prod(side, side), n_steps=4000, dt=0.02)
+    assert (path.x[..., -1, :] - fit.goal).norm(dim=-1).max() < 1.0  # mm
+
+
+def test_a_fit_is_an_ordinary_policy_in_the_units_of_the_data(fitted, angle):
+    policy = fitted["p-qlf"].policy
+    assert policy.batch_shape == ()
+    assert policy.A.dtype == torch.float64
+    assert float(policy.priors.sum()) == pytest.approx(1.0)
+    metres = fit_stable(angle.scale(1e-3), n_components=5, n_steps=250)
+    assert_close(metres.policy.A.data, policy.A.data, rtol=0.05, atol=0.05)  # 1/s in both
+    assert error(metres, angle.scale(1e-3)) == pytest.approx(1e-3 * error(fitted["p-qlf"], angle), rel=0.02)
+
+
+def test_equal_seeds_give_equal_fits_and_other_seeds_other_ones(fitted, angle):
+    again = fit_stable(angle, n_components=5, n_steps=250)
+    assert torch.equal(again.policy.A, fitted["p-qlf"].policy.A)
+    other = fit_stable(angle, n_components=5, n_steps=250, seed=3)
+    assert not torch.allclose(other.policy.means, again.policy.means)
+
+
+@pytest.mark.parametrize("condition", ["none", "seds", "p-qlf"])
+def test_the_likelihood_is_an_objective_too(angle, condition):
+    first, last = (fit_stable(angle, 4, condition, "likelihood", n_steps=n) for n in (10, 200))
+    assert float(last.loss) < float(first.loss)
+    assert error(last, angle) < 11.0  # the likelihood weighs errors by their noise, slow parts count more
+    assert last.certificate().stable or condition == "none"
+
+
+# ---------------------------------------------------------------------- goals
+
+
+def test_the_goal_is_where_the_demonstrations_end_or_where_one_says(angle, fitted):
+    ends = torch.stack([demo.x[-1] for demo in angle]).mean(0)
+    assert_close(fitted["seds"].goal, ends)
+    goal = torch.tensor([5.0, -3.0])
+    fit = fit_stable(angle, 3, goal=goal, n_steps=10)
+    assert fit.goal.tolist() == [5.0, -3.0]
+    assert fit.certificate().stable
+    assert fit.policy(goal.double()).abs().max() < 1e-10
+
+
+def test_a_fit_moves_with_its_demonstrations(angle, fitted):
+    shift = torch.tensor([200.0, -100.0], dtype=torch.float64)
+    moved = Demonstrations([demo.x + shift for demo in angle], [demo.v for demo in angle], dt=angle.dt)
+    fit = fit_stable(moved, n_components=5, n_steps=250)
+    assert_close(fit.goal, fitted["p-qlf"].goal + shift)
+    assert error(fit, moved) == pytest.approx(error(fitted["p-qlf"], angle), rel=0.02)
+
+
+# ---------------------------------------------------------------------- batches
+
+
+def test_a_batch_of_motions_and_numbers_of_components_equals_single_fits(angle):
+    """Up to the order of sums in float32, which steps of Adam make larger."""
+    shorter = motion("Sine", 2)  # fewer samples: its fit is padded in both ways
+    together = fit_stable([angle, shorter, angle], n_components=[5, 3, 5], seed=[0, 0, 1], n_steps=60)
+    assert together.policy.batch_shape == (3,)
+    assert together.n_components.tolist() == [5, 3, 5]
+    assert together.goal.shape == (3, 2)
+    assert together.certificate().stable.tolist() == [True] * 3
+    assert together.policy.priors[1, 3:].tolist() == [0.0, 0.0]
+    for i, (demos, K, seed) in enumerate(((angle, 5, 0), (shorter, 3, 0), (angle, 5, 1))):
+        alone = fit_stable(demos, K, seed=seed, n_steps=60)
+        x = demos.stacked().x
+        assert float(together.loss[i]) == pytest.approx(float(alone.loss), rel=0.02)
+        if i != 1:  # the jitter of a padded fit is drawn for more samples
+            assert_close(together.policy[i](x), alone.policy(x), rtol=0.05, atol=0.5)
+
+
+def test_a_batch_of_one_keeps_its_batch(angle):
+    fit = fit_stable([angle], 2, n_steps=10)
+    assert fit.policy.batch_shape == (1,)
+    assert fit.P.shape == (1, 2, 2)
+    assert fit.loss.shape == fit.n_components.shape == (1,)
+
+
+def test_fits_may_share_a_start(angle, fitted):
+    start = fit_mixtures(angle, 5)
+    assert start.batch_shape == (1,)
+    fit = fit_stable(angle, start=start, n_steps=250)
+    assert_close(fit.policy.A.data, fitted["p-qlf"].policy.A.data, rtol=1e-2, atol=1e-2)  # units there and back
+
+
+def test_mixtures_are_those_of_the_data(angle):
+    """In units of the data: the marginal densities of the padded batch are those of one fit alone."""
+    both = fit_mixtures([angle, motion("Sine", 2)], [2, 4])
+    alone = fit_mixtures(angle, 2)
+    x, v, _ = angle.stacked()
+    y = torch.cat([x, v], -1)
+    assert_close(both.log_prob(y.expand(2, -1, -1))[0], alone.log_prob(y.unsqueeze(0))[0])
+    spread = torch.cov(y.T)
+    mean = (alone.priors[0, :, None] * alone.means[0]).sum(0)
+    assert_close(mean, y.mean(0), rtol=1e-4, atol=1e-4)
+    off = alone.means[0] - mean
+    total = (alone.priors[0, :, None, None] * (alone.covariances[0] + off[:, :, None] * off[:, None])).sum(0)
+    assert_close(total, spread, rtol=0.01, atol=0.02 * float(spread.max()))
+
+
+def test_bic_chooses_more_components_for_the_longer_shape():
+    n = (fit_mixtures([motion("Line"), motion("Worm")], "bic", max_components=8).priors > 0).sum(-1)
+    assert 1 < n[0] < n[1] <= 8
+
+
+def test_a_fit_does_not_need_the_callers_gradients(angle):
+    with torch.no_grad():
+        assert fit_stable(angle, 2, n_steps=10).certificate().stable
+
+
+def test_three_dimensions(randn):
+    t = torch.linspace(0, 1, 60, dtype=torch.float64)[:, None]
+    paths = [torch.cat([1 - t, (math.pi * t).sin(), t * (1 - t)], -1) * (1 + 0.1 * i) for i in range(3)]
+    demos = Demonstrations(paths, dt=0.05)
+    fit = fit_stable(demos, 4, n_steps=150)
+    assert fit.certificate().stable
+    assert error(fit, demos) < 0.25 * float(demos.stacked().v.square().mean().sqrt())
+
+
+# ---------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "message"),
+    [
+        ({"condition": "sed"}, UnknownNameError, "unknown condition 'sed'. Did you mean 'seds'"),
+        ({"objective": "speed"}, UnknownNameError, "unknown objective 'speed'"),
+        ({"margin": -0.1}, InvalidArgumentError, "margin has to be above 0 and finite, got -0.1"),
+        ({"margin": 0.0}, InvalidArgumentError, "margin has to be above 0 and finite, got 0.0"),
+        ({"spread": -1.0}, InvalidArgumentError, "spread has to be finite and ≥ 0, got -1.0"),
+        ({"n_steps": 5}, InvalidArgumentError, "n_steps has to be at least 10, got 5"),
+        ({"goal": torch.zeros(3)}, InvalidArgumentError, r"goal has to be finite and \(2,\) or \(1, 2\), got \[0.0"),
+        ({"n_components": [2, 3]}, InvalidArgumentError, "2 values of n_components for 1 motions"),
+        ({"seed": [0, 1]}, InvalidArgumentError, "2 values of seed for 1 motions"),
+        ({"n_components": "aic"}, InvalidArgumentError, "n_components has to be a number or 'bic', got 'aic'"),
+        ({"n_components": 0}, InvalidArgumentError, "n_components has to be at least 1, got 0"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(angle, options, kind, message):
+    with pytest.raises(kind, match=message):
+        fit_stable(angle, **{"n_components": 2, "n_steps": 10} | options)
+
+
+def test_motions_that_do_not_fit_are_refused(angle, random_mixture):
+    other = Demonstrations([torch.rand(20, 3)], dt=0.1)
+    with pytest.raises(InvalidArgumentError, match=r"the motions of a batch need one dimension, got \[2, 3\]"):
+        fit_stable([angle, other], 2)
+    with pytest.raises(InvalidArgumentError, match="demos has to be Demonstrations or a sequence of them"):
+        fit_stable([], 2)
+    with pytest.raises(InvalidArgumentError, match="a motion does not move"):
+        fit_stable(Demonstrations([torch.ones(20, 2)], dt=0.1), 2)
+    with pytest.raises(InvalidArgumentError, match=r"start has to be 1 mixtures of 4 variables.*batch_shape=\(2,\)"):
+        fit_stable(angle, start=random_mixture(F=4, batch=(2,)))
