@@ -8,6 +8,7 @@ from typing import Any
 from tasks.base import Scene as Scene
 from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
+from tasks.constrained_reaching import ConstrainedReaching as ConstrainedReaching
 from tasks.divergent_field import DivergentField as DivergentField
 from tasks.half_plane_force import HalfPlaneForce as HalfPlaneForce
 from tasks.two_starts import TwoStarts as TwoStarts
@@ -19,6 +20,7 @@ TASKS: dict[str, type[Task]] = {
     "two_starts": TwoStarts,
     "divergent_field": DivergentField,
     "half_plane_force": HalfPlaneForce,
+    "constrained_reaching": ConstrainedReaching,
 }
 
 
@@ -39,6 +41,7 @@ def make(name: str, **options: Any) -> Task:
 
 __all__ = [
     "TASKS",
+    "ConstrainedReaching",
     "DivergentField",
     "HalfPlaneForce",
     "Scene",

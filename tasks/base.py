@@ -140,6 +140,11 @@ class Task(ABC):
     def scene(self) -> Scene:
         """What a figure of the task shows."""
 
+    @property
+    def P(self) -> Tensor | None:
+        """Of the condition that a stable policy of this task satisfies (`torchds.stability`); None for the identity."""
+        return None
+
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
         """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
         return {}

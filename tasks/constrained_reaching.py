@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable, rollout
+from torchds.errors import InvalidArgumentError
+from torchds.fits import StableFit
 
 DURATION, DT = 15.0, 0.1  # s
 N_COMPONENTS = 3
@@ -62,35 +66,41 @@ def _side(p: Tensor, q: Tensor, x: Tensor) -> Tensor:
 class ConstrainedReaching(Task):
     """A goal in a box that is open at the top; whoever hits a wall stays there until the end (Eq. 41).
 
-    The cost is 10 |x^goal − x_T|² + 0.01 Σ_j |v_j − v_{j−1}| + Σ_j |v_j| dt − 8.815, and a control cost of r = 10⁻³: zero
-    would be the shortest way there, in no time. The imitated motion is a stable one (SEDS) of length 12.5.
+    The cost is 10 |x^goal − x_T|² + 0.01 Σ_j |v_j − v_{j−1}| + Σ_j |v_j| dt − 8.815, and a control cost of r = 10⁻³. The
+    motion begins as a stable one, fitted to the demonstrations with three Gaussians, of length 12.5.
 
-    Only convention="paper" is there. The released program's box has a hole in its wall and a preset that leaves SEDS off.
+    Only convention="paper" is there. The released program's preset leaves the stability out, and its box has a hole in the
+    wall on the straight line from start to goal, shorter than what the cost calls the shortest path.
 
     Args:
-        demonstrations: see `Task`; they have to end at the origin, the goal.
-        mixture: see `Task`; gives the gating, b is dropped and A has to be stable.
+        condition: of the fit: "seds" as in the paper, or "p-qlf", which has a metric P of its own.
+        demonstrations: see `Task`; the goal is the origin wherever they end.
+        mixture: see `Task`; taken as it is, stable or not.
         convention: see `Task`.
 
     Raises:
-        InvalidArgumentError: an unknown convention.
+        InvalidArgumentError: an unknown condition or convention.
     """
 
     name = "constrained_reaching"
 
     def __init__(
         self,
+        condition: Literal["seds", "p-qlf"] = "seds",
         *,
         demonstrations: Demonstrations | str | Path | None = None,
         mixture: GaussianMixture | str | Path | None = None,
         convention: Convention = "paper",
     ) -> None:
         super().__init__(demonstrations=demonstrations, mixture=mixture, convention=convention)
+        if condition not in ("seds", "p-qlf"):
+            raise InvalidArgumentError(f"condition has to be 'seds' or 'p-qlf', got {condition!r}")
+        self.condition: Literal["seds", "p-qlf"] = condition
         self.start = torch.tensor(START, dtype=torch.float64)
         self.goal = torch.zeros(2, dtype=torch.float64)
         corners = torch.tensor(BOX, dtype=torch.float64)
         self.walls = Walls(torch.stack([corners[:-1], corners[1:]], 1))
-        self.search = SearchSettings(n_updates=100, control_weight=1e-3)
+        self.search = SearchSettings(n_updates=100, control_weight=1e-3, std=0.05, spread=0.2)
 
     def default_demonstrations(self) -> Demonstrations:
         """Four detours from around the start."""
@@ -101,3 +111,47 @@ class ConstrainedReaching(Task):
             begin = self.start + offset
             tracks.append((1 - s) ** 3 * begin + 3 * s * (1 - s) ** 2 * first + 3 * s**2 * (1 - s) * second)
         return Demonstrations(tracks, dt=DEMONSTRATED / (len(s) - 1))
+
+    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
+        """Three Gaussians over position and velocity, not stable; the policy is another fit."""
+        return GaussianMixture.fit(demonstrations, N_COMPONENTS)
+
+    @cached_property
+    def stable_fit(self) -> StableFit:
+        """The fit to the demonstrations."""
+        return fit_stable(self.demonstrations, N_COMPONENTS, self.condition, "likelihood", goal=self.goal)
+
+    @property
+    def P(self) -> Tensor | None:
+        """Of the condition that the policy satisfies; None for the identity."""
+        return self.stable_fit.P if self.condition == "p-qlf" and self._mixture is None else None
+
+    def policy(self) -> GMRPolicy:
+        """The imitated detour."""
+        if self._mixture is not None:
+            return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
+        return copy.deepcopy(self.stable_fit.policy)
+
+    def motion(self) -> dict[str, Any]:
+        """From the one start."""
+        return {"x0": self.start, "n_steps": round(DURATION / DT), "dt": DT}
+
+    def rollout(self, policy: GMRPolicy) -> Rollout:
+        """One trial, which ends at the first wall."""
+        return rollout(policy, **self.motion(), stop=self.walls)
+
+    def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
+        """Goal, acceleration and path length of Eq. 41."""
+        running = {name: steps.sum(-1) for name, steps in self.running_costs(path).items()}
+        return {"goal": GOAL_WEIGHT * costs.goal(path.x, self.goal), **running}
+
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """The acceleration, and the path length beyond the shortest one, spread over the steps."""
+        return {
+            "acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v),
+            "path_length": torch.linalg.vector_norm(path.v, dim=-1) * path.dt - SHORTEST / path.v.shape[-2],
+        }
+
+    def scene(self) -> Scene:
+        """Start, goal and the box."""
+        return Scene(self.start[None], self.goal, walls=self.walls.segments)

@@ -79,6 +79,13 @@ def markers(axes: Axes, starts: Tensor, goal: Tensor, via_points: Mapping[str, T
         axes.plot(x, y, cross, color="black", ms=8, mew=1.5, zorder=7)
 
 
+def walls(axes: Axes, segments: Tensor) -> None:
+    """Walls `(W, 2, D)` in the first two dimensions, as thick lines."""
+    for i, segment in enumerate(segments[..., :2].cpu()):
+        label = "walls" if i == 0 else "_nolegend_"
+        axes.plot(*segment.T, color="black", lw=4, solid_capstyle="round", zorder=6, label=label)
+
+
 def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("x1", "x2")) -> None:
     """Equal aspect, axis labels with the unit, title, and the legend below the map."""
     axes.set_aspect("equal")

@@ -62,10 +62,13 @@ def draw_learned(axes: Axes, learner: Learner) -> None:
 def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor) -> None:
     """Limits, field and markers of a task."""
     scene = task.scene()
-    x, y = plotting.limits(*tracks, *(d.x[:, :2] for d in task.source or ()), *scene.via_points.values(), scene.starts)
+    seen = [*tracks, *(d.x[:, :2] for d in task.source or ()), *scene.via_points.values(), scene.starts]
+    x, y = plotting.limits(*seen, *(() if scene.walls is None else (scene.walls,)))
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     plotting.field(axes, policy)
+    if scene.walls is not None:
+        plotting.walls(axes, scene.walls)
     plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
 
 

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
+
 
 @dataclass
 class RunOptions:
@@ -23,18 +25,22 @@ class RunOptions:
     """Roll-outs per update; the task's own number if not given."""
     optimizer: Literal["pibb", "pi2"] = "pibb"
     """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper. pi2: averaged over time steps."""
-    exploration: Literal["homogeneous", "trajectory", "gaussian"] = "homogeneous"
+    exploration: Exploration = "homogeneous"
     """Parameter noise. homogeneous: equal in task space (Eq. 14-18). trajectory: equal along the motion. gaussian: one
-    standard deviation for all."""
+    standard deviation for all. stable: keeps a stable policy stable (Eq. 19-23). stable-trajectory: that, along the
+    motion."""
+    shrink: Literal["all", "direction", "none"] = "all"
+    """How stable noise is made. all: its symmetric part is scaled, as in the paper. direction: only what offends is cut.
+    none: nothing, but the goal stays a fixed point."""
     noise: float | None = None
     """Size of the exploration: mean speed (homogeneous), spread of the motion (trajectory), standard deviation
-    (gaussian); the task's own if not given."""
+    (gaussian, stable); the task's own if not given."""
     decay: Literal["inverse", "linear", "exponential", "none"] | None = None
     """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper. linear: to a tenth, as the
-    authors' program. exponential: to 3 %. The task's own if not given, exponential with trajectory."""
+    authors' program. exponential: to 3 %. The task's own if not given, exponential with trajectories."""
     temperature: Literal["range", "median", "capped"] | None = None
     """The spread of costs that scales the weights. range: the paper's. median: the authors' program's. capped: range
-    after capping bad costs. The task's own if not given, capped with trajectory."""
+    after capping bad costs. The task's own if not given, capped with trajectories."""
     elite: Literal["none", "nominal", "best"] | None = None
     """What the first roll-out of an update is: a perturbed policy, the unperturbed one, or the best so far; the task's
     own if not given."""
@@ -120,6 +126,29 @@ class HalfPlaneForceOptions(ArchOptions):
         return super().task_options() | {"stiffness": self.stiffness}
 
 
+@dataclass
+class ConstrainedReachingOptions(RunOptions):
+    """Learn the shortest way around a wall, stable all the time (section 4.3)."""
+
+    task: ClassVar[str] = "constrained_reaching"
+
+    exploration: Exploration = "stable"
+    """As for the other tasks; here the policy is stable, and noise can keep it so."""
+    condition: Literal["seds", "p-qlf"] = "seds"
+    """Of the fit. seds: as in the paper. p-qlf: with a learned metric."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The common options and the condition."""
+        return super().task_options() | {"condition": self.condition}
+
+
 TASK_OPTIONS: dict[str, type[RunOptions]] = {
-    cls.task: cls for cls in (ViaPointOptions, TwoStartsOptions, DivergentFieldOptions, HalfPlaneForceOptions)
+    cls.task: cls
+    for cls in (
+        ViaPointOptions,
+        TwoStartsOptions,
+        DivergentFieldOptions,
+        HalfPlaneForceOptions,
+        ConstrainedReachingOptions,
+    )
 }

@@ -130,6 +130,9 @@ def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
     writer.add_scalar("rollouts/total", history.rollouts[-1], update)
     writer.add_scalar("rollouts/failed", history.failed[-1], update)
     writer.add_scalar("exploration/lr", optim.param_groups[0]["lr"], update)
+    for exploration in optim.explorations:
+        for tag, value in exploration.scalars().items():
+            writer.add_scalar(tag, value, update)
     if optim.last is not None:
         w = optim.last.weights
         writer.add_scalar("weights/entropy", -(w * w.clamp_min(1e-300).log()).sum(0).mean(), update)

@@ -10,22 +10,30 @@ from torch import Tensor
 from tasks import Task
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
-from torchds.exploration import Exploration, Gaussian, Homogeneous, TrajectorySpace
+from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable, TrajectorySpace
 from torchds.optim import PI2, PIBB, ExponentialDecay, InverseIteration, LinearDecay, PolicySearch
 from train.options import RunOptions
 
-GAUSSIAN_STD = 0.01  # when --noise is not given
+
+def along_motion(options: RunOptions) -> bool:
+    """Whether the exploration is one along the motion."""
+    return options.exploration in ("trajectory", "stable-trajectory")
 
 
 def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Exploration:
-    """The exploration that `--exploration` and `--noise` name."""
-    if options.exploration == "gaussian":
-        return Gaussian(GAUSSIAN_STD if options.noise is None else options.noise)
+    """The exploration that `--exploration`, `--noise` and `--shrink` name."""
     search, learn = task.search, getattr(options, "learn", "both")
-    if options.exploration == "trajectory":
+    std = search.std if options.noise is None else options.noise
+    if options.exploration == "gaussian":
+        return Gaussian(std)
+    goal = task.scene().goal
+    if options.exploration == "stable":
+        return Stable(policy, std, goal, task.P, shrink=options.shrink)
+    if along_motion(options):
         if learn != "both":
             raise InvalidArgumentError(f"--learn {learn} goes with --exploration homogeneous, not trajectory")
-        return TrajectorySpace(
+        stable = options.exploration == "stable-trajectory"
+        along = TrajectorySpace(
             policy,
             **task.motion(),
             spread=search.spread if options.noise is None else options.noise,
@@ -34,7 +42,9 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
             mean_stiffness=search.mean_stiffness,
             widening=search.widening,
             damping=search.damping,
+            goal=goal if stable else None,
         )
+        return Stable(policy, along, goal, task.P, shrink=options.shrink) if stable else along
     mean_speed = search.mean_speed if options.noise is None else options.noise
     return Homogeneous(
         policy,
@@ -47,7 +57,7 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
 def make_optimizer(options: RunOptions, task: Task, policy: GMRPolicy) -> PolicySearch:
     """The optimizer that `--optimizer` names."""
     cls = {"pibb": PIBB, "pi2": PI2}[options.optimizer]
-    along = options.exploration == "trajectory"
+    along = along_motion(options)
     return cls(
         policy.parameters(),
         exploration=make_exploration(options, task, policy),
@@ -79,5 +89,5 @@ def make_decay(options: RunOptions, task: Task, optim: torch.optim.Optimizer) ->
         "exponential": ExponentialDecay(n, floor=0.03),
         "none": ExponentialDecay(n, floor=1.0),
     }
-    name = options.decay or ("exponential" if options.exploration == "trajectory" else task.search.decay)
+    name = options.decay or ("exponential" if along_motion(options) else task.search.decay)
     return torch.optim.lr_scheduler.LambdaLR(optim, factors[name])

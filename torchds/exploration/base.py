@@ -38,6 +38,10 @@ class Exploration(ABC):
             InvalidArgumentError: what was received and what is allowed.
         """
 
+    def scalars(self) -> dict[str, float]:
+        """What is worth logging after each update, by TensorBoard tag."""
+        return {}
+
     def state_dict(self) -> dict[str, Any]:
         """What changes while learning; plain values and tensors only."""
         return {}

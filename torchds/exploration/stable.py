@@ -11,9 +11,12 @@ from torch import Tensor, nn
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.policy import GMRPolicy
+from torchds.stability import largest_eigenvalue, project
 
 Eta = Literal["closed", "stepped"]
 Shrink = Literal["all", "direction", "none"]
+
+SLACK = 1e-6  # relative
 
 
 class Stable(Exploration):
@@ -23,10 +26,9 @@ class Stable(Exploration):
 
     .. math:: b_k = -A_k x^*, \qquad P A_k + A_k^T P \preceq -2\, margin\, P
 
-    with one P ≻ 0; P = I is SEDS, a learned P the weaker condition called P-QLF. In the coordinates Cᵀx with P = C Cᵀ both
-    say that the symmetric part of A_k is negative definite. The raw noise E of A_k is split there into its symmetric and
-    its antisymmetric part (Eq. 21-22). The latter cannot harm; the former is shrunk until A_k + ε_A satisfies the condition.
-    The noise of b follows, ε_b = −ε_A x* (Eq. 23).
+    with one P ≻ 0; P = I is SEDS, a learned P the weaker condition P-QLF (`torchds.stability`). The raw noise E of A_k is
+    split into a symmetric part ½ (E + P⁻¹EᵀP) and the rest, which is antisymmetric for P = I (Eq. 21-22). The rest cannot
+    harm; the symmetric part is shrunk until A_k + ε_A satisfies the condition. b follows, ε_b = −ε_A x* (Eq. 23).
 
     The condition is convex, and an update is a convex combination of the samples (Eq. 28). That proof needs no more of the
     samples than that each of them satisfies the condition, so it holds for both ways to shrink.
@@ -45,8 +47,8 @@ class Stable(Exploration):
 
             * "all": the symmetric part of the noise of A_k as a whole, by a factor η, as in the paper. A policy that is on
               the boundary in one direction is then hardly explored in any: half of the draws get η ≈ 0.
-            * "direction": only what offends. The symmetric part of A_k + E is replaced by the nearest one that satisfies
-              the condition: its eigenvalues above −margin become −margin.
+            * "direction": only what offends. A_k + E is replaced by the nearest slopes that satisfy the condition, with
+              the eigenvalues of the symmetric part that are above −margin lowered to it (`stability.project`).
             * "none": nothing. b stays tied to the goal, stability is not kept.
         margin: that the samples keep from the boundary [1/s], or what the policy has of it where that is less.
 
@@ -76,7 +78,6 @@ class Stable(Exploration):
         shrink: Shrink = "all",
         margin: float = 1e-3,
     ) -> None:
-        D = policy.input_dim
         for name, value, allowed in (("eta", eta, get_args(Eta)), ("shrink", shrink, get_args(Shrink))):
             if value not in allowed:
                 raise InvalidArgumentError(f"{name} has to be one of {', '.join(map(repr, allowed))}, got {value!r}")
@@ -86,14 +87,7 @@ class Stable(Exploration):
             size = torch.as_tensor(std)
             if not size.isfinite().all() or (size < 0).any():
                 raise InvalidArgumentError(f"std has to be finite and ≥ 0, got {std}")
-        if policy.output_dim != D:
-            raise InvalidArgumentError(f"stability needs as many velocities as inputs, got {policy.output_dim} and {D}")
-        if goal.shape[-1:] != (D,):
-            raise InvalidArgumentError(f"goal has to end with the policy's {D} inputs, got {tuple(goal.shape)}")
-        if P is not None and (
-            P.shape[-2:] != (D, D) or not torch.equal(P, P.mT) or torch.linalg.cholesky_ex(P).info.any()
-        ):
-            raise InvalidArgumentError(f"P has to be symmetric, positive definite and (*batch, {D}, {D}), got {P}")
+        policy.certificate(goal, P)  # refuses shapes and a P that do not fit
         self.policy = policy
         self.std = std
         self.goal = goal
@@ -109,17 +103,17 @@ class Stable(Exploration):
             raise InvalidArgumentError(f"Stable ties b to A; {sorted(missing)} of the policy is not in the group")
         if isinstance(self.std, Exploration):
             self.std.check(parameters)
-        A, b = self.policy.A.detach(), self.policy.b.detach()
-        apart = (b - self._tied(A)).abs().amax()
-        if apart > 1e3 * torch.finfo(b.dtype).eps * (1.0 + (A.abs() @ self._column().abs()).amax()):
+        certificate = self.policy.certificate(self.goal, self.P)
+        size = self.policy.b.detach().abs().amax() + self.policy.A.detach().abs().amax() * self.goal.abs().amax()
+        if (apart := certificate.offset.amax()) > 1e3 * torch.finfo(size.dtype).eps * size:
             raise InvalidArgumentError(
-                f"b differs from −A x* by up to {apart:.2g}: the policy does not rest at the goal; fit one that does, with "
-                "torchds.fit_stable, or give the goal of its fit"
+                f"b differs from −A x* by up to {apart:.2g}: the policy does not rest at the goal {self.goal.tolist()}; give "
+                "the goal of its fit, or fit one that rests there with torchds.fit_stable(..., goal=goal)"
             )
-        if self.shrink != "none" and not (largest := self.largest_eigenvalues().amax()) < 0:
+        if self.shrink != "none" and not (largest := -certificate.margin.amin()) < 0:
             raise InvalidArgumentError(
-                f"the policy is not stable: the symmetric part of its A has an eigenvalue {largest:.3g} where all have to be "
-                "negative; fit one with torchds.fit_stable, give the P of its fit, or use shrink='none'"
+                f"the policy is not stable: {largest:.3g} is the largest eigenvalue of the symmetric part of A, and all have "
+                "to be negative; give the P of its fit, fit one with torchds.fit_stable, or use shrink='none'"
             )
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
@@ -139,60 +133,49 @@ class Stable(Exploration):
         """The part of the noise `raw` `(..., *batch, K, D, D)` of A that keeps the policy stable (Eq. 22)."""
         if self.shrink == "none":
             return raw
-        A = self.policy.A
-        own = -self.largest_eigenvalues()
-        margin = own.clamp(max=self.margin)
-        stable_part, noise_part = _symmetric(A, self._metric()), _symmetric(raw, self._metric())
+        A, P = self.policy.A.detach(), None if self.P is None else self.P.to(raw).unsqueeze(-3)
+        # A policy on its own boundary would leave no room to the last digit, and round-off would decide.
+        margin = ((1 - SLACK) * -largest_eigenvalue(A, P)).clamp(max=self.margin)  # (*batch, K)
         if self.shrink == "direction":
-            values, vectors = torch.linalg.eigh(stable_part + noise_part)
-            excess = (values + margin.unsqueeze(-1)).clamp_min(0.0)
-            cut = (vectors * excess.unsqueeze(-2)) @ vectors.mT
-        else:
-            eta = self.shrinkage(stable_part, noise_part, margin=margin)
-            if self.eta == "stepped":
-                eta = (10 * eta).floor() / 10
-            cut = (1.0 - eta)[..., None, None] * noise_part
-        return raw - _back(cut, self._metric())
-
-    @torch.no_grad()
-    def largest_eigenvalues(self) -> Tensor:
-        """Per component `(*batch, K)` the largest eigenvalue of the symmetric part of A, negative for a stable policy.
-
-        With P, it is the largest λ with P A + Aᵀ P ⪯ 2 λ P.
-        """
-        return torch.linalg.eigvalsh(_symmetric(self.policy.A, self._metric()))[..., -1]
+            tried = A + raw
+            return raw + (project(tried, margin, P) - tried)
+        eta = self.shrinkage(A, raw, P, margin)
+        if self.eta == "stepped":
+            eta = (10 * eta).floor() / 10
+        turned = raw.mT if P is None else torch.linalg.solve(P, raw.mT @ P)
+        return raw - 0.5 * (1.0 - eta)[..., None, None] * (raw + turned)
 
     def scalars(self) -> dict[str, float]:
-        """The certificate of the present policies: their largest eigenvalue of all."""
-        return {"stability/largest_eigenvalue": float(self.largest_eigenvalues().amax())}
+        """The certificate of the present policies: the largest eigenvalue of all of them, negative if all are stable."""
+        return {"stability/largest_eigenvalue": -float(self.policy.certificate(self.goal, self.P).margin.amin())}
 
     @staticmethod
     @torch.no_grad()
     def shrinkage(A: Tensor, S_noise: Tensor, P: Tensor | None = None, margin: float | Tensor = 0.0) -> Tensor:
         r"""The largest η in [0, 1] for which A + η S_noise is stable with the margin, in closed form.
 
-        With N and S the symmetric parts of A and S_noise in the coordinates of P, and W = −N − margin I,
+        With W = −½ (P A + Aᵀ P) − margin P ≻ 0 and S = ½ (P S_noise + S_noiseᵀ P),
 
-        .. math:: η = \min(1, 1/λ_{max}(W^{-1/2} S W^{-1/2})).
+        .. math:: η = \min(1, 1/λ_{max}), \qquad S u = λ W u.
 
         Args:
-            A: `(..., D, D)`, with any antisymmetric part.
-            S_noise: `(..., D, D)`; both broadcast.
+            A: `(..., D, D)`, symmetric or not.
+            S_noise: `(..., D, D)`, symmetric or not; both broadcast.
             P: `(..., D, D)`, None for the identity.
-            margin: number or `(...)`.
+            margin: number or `(...)` [1/s].
 
         Returns:
             `(...)`; zero where A itself does not have the margin.
         """
-        N, S = _symmetric(A, P), _symmetric(S_noise, P)
-        margin = torch.as_tensor(margin, dtype=N.dtype, device=N.device)
-        values, vectors = torch.linalg.eigh(N)
-        room = -values - margin.unsqueeze(-1)
-        tiny = torch.finfo(N.dtype).eps * values.abs().amax(-1, keepdim=True) + torch.finfo(N.dtype).tiny
-        root = vectors * room.clamp_min(tiny).rsqrt().unsqueeze(-2)  # W^{-1} = root rootᵀ
+        lever = torch.eye(A.shape[-1], dtype=A.dtype, device=A.device) if P is None else P.to(A)
+        margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device)[..., None, None]
+        N, S = (0.5 * (lever @ M + M.mT @ lever) for M in (A, S_noise))
+        values, vectors = torch.linalg.eigh(-N - margin * lever)
+        tiny = torch.finfo(A.dtype).eps * torch.linalg.matrix_norm(N).unsqueeze(-1) + torch.finfo(A.dtype).tiny
+        root = vectors * values.clamp_min(tiny).rsqrt().unsqueeze(-2)  # W⁻¹ = root rootᵀ
         steepest = torch.linalg.eigvalsh(root.mT @ S @ root)[..., -1]
         eta = torch.where(steepest > 1.0, 1.0 / steepest, 1.0)
-        return torch.where((room >= -tiny).all(-1), eta, 0.0)
+        return torch.where((values >= -tiny).all(-1), eta, 0.0)
 
     def state_dict(self) -> dict[str, Any]:
         """That of the exploration behind the raw noise."""
@@ -203,27 +186,5 @@ class Stable(Exploration):
         if isinstance(self.std, Exploration):
             self.std.load_state_dict(state["raw"])
 
-    def _metric(self) -> Tensor | None:
-        return None if self.P is None else self.P.unsqueeze(-3)  # the same for all components
-
-    def _column(self) -> Tensor:
-        return self.goal[..., None, :, None]  # (*batch, 1, D, 1)
-
     def _tied(self, A: Tensor) -> Tensor:
-        return -(A @ self._column()).squeeze(-1)
-
-
-def _symmetric(A: Tensor, P: Tensor | None) -> Tensor:
-    """The symmetric part of A in the coordinates Cᵀx, P = C Cᵀ: ½ (CᵀA C⁻ᵀ + its transpose)."""
-    if P is not None:
-        C = torch.linalg.cholesky(P)
-        A = torch.linalg.solve_triangular(C, A.mT @ C, upper=False).mT
-    return 0.5 * (A + A.mT)
-
-
-def _back(A: Tensor, P: Tensor | None) -> Tensor:
-    """From the coordinates Cᵀx: C⁻ᵀ A Cᵀ."""
-    if P is None:
-        return A
-    C = torch.linalg.cholesky(P)
-    return torch.linalg.solve_triangular(C.mT, A @ C.mT, upper=True)
+        return -(A @ self.goal.to(A)[..., None, :, None]).squeeze(-1)

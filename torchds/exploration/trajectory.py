@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous
-from torchds.policy import GMRPolicy
+from torchds.policy import GMRPolicy, chi_mean
 from torchds.rollouts import rollout
 from torchds.sensitivity import sensitivity, stiffness_sensitivity
 
@@ -64,9 +64,13 @@ class TrajectorySpace(Exploration):
         widening: how much wider than the homogeneous noise a direction may be.
         damping: relative size, of the largest λ, below which a direction is left alone; 0 for the plain covariance.
         refresh: updates between two evaluations of J.
+        goal: `(D,)` x*, to which b stays tied: only A is free and b = −A x* follows, as `Stable` wants it. Behind D there is
+            then one standard deviation for all of A, so that the velocity noise grows with the distance from the goal as
+            the velocity does; averaged over the Gaussians its mean norm is `mean_speed`.
 
     Raises:
-        InvalidArgumentError: numbers out of range, or a group with only a part of the policy's parameters.
+        InvalidArgumentError: numbers out of range, a goal of another shape, or a group with only a part of the policy's
+            parameters.
     """
 
     def __init__(
@@ -83,13 +87,16 @@ class TrajectorySpace(Exploration):
         widening: float = 3.0,
         damping: float = 1e-4,
         refresh: int = 1,
+        goal: Tensor | None = None,
     ) -> None:
         for name, value in {"spread": spread, "widening": widening, "mean_speed": mean_speed}.items():
             if not (math.isfinite(value) and value > 0):
                 raise InvalidArgumentError(f"{name} has to be finite and positive, got {value}")
         if not damping >= 0 or refresh < 1:
             raise InvalidArgumentError(f"damping ≥ 0 and refresh ≥ 1 are needed, got {damping} and {refresh}")
-        self.policy = policy
+        if goal is not None and goal.shape != (policy.input_dim,):
+            raise InvalidArgumentError(f"goal has to be ({policy.input_dim},), got {tuple(goal.shape)}")
+        self.policy, self.goal = policy, goal
         self.x0, self.n_steps, self.dt = x0, n_steps, dt
         self.spread, self.widening, self.damping = spread, widening, damping
         self.refresh = refresh
@@ -141,10 +148,8 @@ class TrajectorySpace(Exploration):
         rows = [J.flatten(n_batch, -2) / self.spread]
         if policy.stiffness_dim:
             rows.append(stiffness_sensitivity(policy, path, J).flatten(n_batch, -2) / self.stiffness_spread)
-        std = self._homogeneous.std()
-        names = {id(p): name for name, p in policy.named_parameters()}
-        unit = policy.pack(lambda p: std[names[id(p)]])  # (P,) or (*batch, P)
-        felt = torch.cat(rows, -2) * unit.unsqueeze(-2)
+        chart = self._chart()
+        felt = torch.cat(rows, -2) @ chart
         metric = felt.mT @ felt / n
         good = metric.isfinite().all(-1).all(-1, keepdim=True)  # (*batch, 1)
         values, vectors = torch.linalg.eigh(torch.where(good.unsqueeze(-1), metric, 0.0))
@@ -154,7 +159,24 @@ class TrajectorySpace(Exploration):
             largest = values.amax(-1, keepdim=True).clamp_min(torch.finfo(values.dtype).tiny)
             variance = variance * values / (values + self.damping * largest)
         variance = torch.where(good, variance, 1.0)  # no finite Jacobian: the homogeneous noise
-        return unit.unsqueeze(-1) * vectors * variance.sqrt().unsqueeze(-2)
+        return chart @ (vectors * variance.sqrt().unsqueeze(-2))
+
+    def _chart(self) -> Tensor:
+        """D₁^{1/2} `(P, P)` or `(*batch, P, P)`; with a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""
+        policy, std = self.policy, self._homogeneous.std()
+        names = {id(p): name for name, p in policy.named_parameters()}
+        if self.goal is None:
+            return torch.diag_embed(policy.pack(lambda p: std[names[id(p)]]))
+        # |x − x*| under each Gaussian, root mean square; one standard deviation for all of A, since noise that is as fast near
+        # the goal as elsewhere would be large noise of the slopes there.
+        away = (policy.means - self.goal).square() + policy.covariances.diagonal(dim1=-2, dim2=-1)
+        distance = (policy.priors * away.sum(-1).sqrt()).sum(-1)  # (*gate_batch)
+        speed = self._homogeneous.mean_speed / chi_mean(policy.output_dim)
+        std["A"] = (speed / distance)[..., None, None, None].expand_as(std["A"])
+        follow = policy.split(torch.eye(policy.pack().shape[-1], dtype=away.dtype, device=away.device))
+        follow["b"] = -(follow["A"] @ self.goal.to(away).unsqueeze(-1)).squeeze(-1)
+        tie = policy.pack(lambda p: follow[names[id(p)]]).mT  # columns that belong to b are zero
+        return tie * policy.pack(lambda p: std[names[id(p)]]).unsqueeze(-2)
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """L z, cut into the parameters."""
