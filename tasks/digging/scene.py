@@ -1,0 +1,142 @@
+"""The scene: the arm with its shovel over a box of gravel, many copies of it stepped in parallel threads."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch, SimulationError
+from torch import Tensor
+
+from tasks.digging import gravel as beds
+from tasks.digging import lwr
+from tasks.digging.gravel import COARSE as COARSE
+from tasks.digging.gravel import Gravel
+from torchds.errors import InvalidArgumentError
+
+GRAVITY = 9.81  # m/s²
+PREFIX = "lwr/"
+
+
+def build(gravel: Gravel) -> mujoco.MjSpec:
+    """The arm, then the box and its grains; the arm's base is the origin."""
+    scene = mujoco.MjSpec()
+    beds.options(scene, gravel)
+    arm = lwr.spec()
+    shovel = {id(geom) for geom in arm.body("shovel").geoms}
+    for geom in arm.geoms:
+        if id(geom) in shovel or geom.parent.name == "shovel":
+            beds.touch(geom, beds.RIGID, gravel)
+            geom.rgba[:] = 0.35, 0.37, 0.40, 1
+        else:
+            geom.contype = geom.conaffinity = 0  # the arm itself touches nothing
+            geom.rgba[:] = (0.2, 0.2, 0.2, 1) if geom.parent.name in ("base", "gripper") else (0.95, 0.45, 0.1, 1)
+    scene.attach(arm, prefix=PREFIX, frame=scene.worldbody.add_frame())
+    scene.worldbody.add_light(pos=[0.4, -1.5, 2.0], dir=[0.2, 0.6, -0.8])
+    beds.add(scene, gravel)
+    return scene
+
+
+class Scenes:
+    """N copies of the scene, each with a bed of its own, advanced together.
+
+    Args:
+        gravel: the bed.
+        n: N, roll-outs.
+        n_threads: that share them; the results are the same, bit for bit, for any number.
+
+    Raises:
+        InvalidArgumentError: no roll-outs or threads.
+    """
+
+    def __init__(self, gravel: Gravel, n: int, n_threads: int = 1) -> None:
+        if n < 1 or n_threads < 1:
+            raise InvalidArgumentError(f"at least one roll-out and one thread are needed, got {n} and {n_threads}")
+        self.gravel = gravel
+        self.n = n
+        self.model = build(gravel).compile()
+        self.settled = beds.bed(gravel)
+        self.batch = Batch(self.model, n, n_threads, persistent=False)
+        batch, J = self.batch, lwr.N_JOINTS
+        self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
+        self._mass, self._bias, self._sensors = batch.bind("M"), batch.bind("qfrc_bias"), batch.bind("sensordata")
+        self._frames = batch.bind("site_xmat")
+        self._broken = np.zeros(n, dtype=bool)
+        self._ft = self.model.site(PREFIX + "ft").id
+        # The mass matrix is sparse; the arm comes first and is one chain, so its rows are full up to the diagonal.
+        self._index = np.zeros((J, J), dtype=int)
+        for i in range(J):
+            start, columns = self.model.M_rowadr[i], self.model.M_rownnz[i]
+            for k, j in enumerate(self.model.M_colind[start : start + columns]):
+                self._index[i, j] = self._index[j, i] = start + k
+
+    # ------------------------------------------------------------------ time
+
+    def reset(self, q: Tensor, seeds: list[int]) -> None:
+        """Put all arms at `q` `(N, J)` or `(J,)` [rad], at rest, over beds whose grains are moved by 0.1 mm by `seeds`.
+
+        Raises:
+            InvalidArgumentError: not one seed a roll-out.
+        """
+        if len(seeds) != self.n:
+            raise InvalidArgumentError(f"one seed for each of the {self.n} roll-outs is needed, got {len(seeds)}")
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.warning[:] = 0
+        self._broken[:] = False
+        self._qpos[:, : lwr.N_JOINTS] = q.numpy()
+        self._qpos[:, lwr.N_JOINTS :] = beds.perturbed(self.settled, seeds).reshape(self.n, -1)
+        self.batch.forward()
+
+    def step(self, torque: Tensor) -> None:
+        """Advance by one time step under `torque` `(N, J)` [N m]."""
+        self._ctrl[:] = torque.numpy()
+        try:
+            self.batch.step()
+        except SimulationError as error:  # the others were advanced
+            self._broken[error.ids] = True
+
+    # ------------------------------------------------------------------ what there is to see
+
+    @property
+    def q(self) -> Tensor:
+        """`(N, J)` joint angles [rad]."""
+        return torch.from_numpy(self._qpos[:, : lwr.N_JOINTS].copy())
+
+    @property
+    def v(self) -> Tensor:
+        """`(N, J)` joint velocities [rad/s]."""
+        return torch.from_numpy(self._qvel[:, : lwr.N_JOINTS].copy())
+
+    @property
+    def mass(self) -> Tensor:
+        """`(N, J, J)` mass matrix of the arm [kg m²]; as all that follows, of one time step ago."""
+        return torch.from_numpy(self._mass[:, self._index])
+
+    @property
+    def bias(self) -> Tensor:
+        """`(N, J)` torque of gravity, centrifugal and Coriolis forces on the arm [N m]."""
+        return torch.from_numpy(self._bias[:, : lwr.N_JOINTS].copy())
+
+    @property
+    def force(self) -> Tensor:
+        """`(N, 3)` with which the gripper holds the shovel, in the base frame [N]; at rest its weight and load, upwards."""
+        frame = self._frames[:, self._ft].reshape(self.n, 3, 3)
+        return torch.from_numpy(np.einsum("nij,nj->ni", frame, self._sensors[:, :3]))
+
+    @property
+    def grains(self) -> Tensor:
+        """`(N, G, 3)` places of the grains: x, z [m], turn [rad]."""
+        return torch.from_numpy(self._qpos[:, lwr.N_JOINTS :].reshape(self.n, -1, 3).copy())
+
+    @property
+    def kinetic_energy(self) -> Tensor:
+        """`(N,)` of the grains' motion along x and z [J]."""
+        speeds = self._qvel[:, lwr.N_JOINTS :].reshape(self.n, -1, 3)[..., :2]
+        return torch.from_numpy(0.5 * (self.gravel.masses() * np.square(speeds).sum(-1)).sum(-1))
+
+    @property
+    def failed(self) -> Tensor:
+        """`(N,)` True where MuJoCo warned or raised since the reset, or numbers are not finite or a grain is lost now."""
+        grains = self._qpos[:, lwr.N_JOINTS :].reshape(self.n, -1, 3)
+        broken = self._broken | ~np.isfinite(self._qpos).all(-1) | ~np.isfinite(self._qvel).all(-1)
+        return torch.from_numpy(broken | beds.lost(grains, self.gravel) | (self.batch.warning != 0).any((-2, -1)))

@@ -1,0 +1,121 @@
+"""Digging roll-outs: the arm follows references under Cartesian impedance control, all of a batch at once."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+import scipy.interpolate
+import torch
+from torch import Tensor
+
+from tasks.digging import lwr
+from tasks.digging.scene import GRAVITY, Scenes
+from torchds.cartesian import CartesianImpedance, PlaneReference
+from torchds.errors import InvalidArgumentError
+
+WEIGHING = 0.5
+"""Length of the mean over the end of a roll-out that weighs the load [s]."""
+
+
+class Recording(NamedTuple):
+    """What was measured along a batch of roll-outs.
+
+    Attributes:
+        pose: `(N, T+1, 3)` of the tool: x [m], z [m], angle [rad].
+        force: `(N, T, 3)` between gripper and shovel less the weight of the empty shovel, base frame [N]: what the arm does
+            to the gravel, and to the shovel's inertia.
+        torque: `(N, T, J)` of the joints [N m].
+        stiffness: `(N, T)` [N/m].
+        load: `(N,)` weight of the gravel on the shovel at the end [N].
+        failed: `(N,)` True where the simulation exploded or lost a grain; nothing else of such a roll-out counts.
+        control_seconds: wall time of kinematics, impedance law and bookkeeping [s].
+        physics_seconds: wall time of MuJoCo [s].
+    """
+
+    pose: Tensor
+    force: Tensor
+    torque: Tensor
+    stiffness: Tensor
+    load: Tensor
+    failed: Tensor
+    control_seconds: float
+    physics_seconds: float
+
+
+# t [share of the motion], x [m], z [m], angle [rad]: along the blade into the gravel, then turn, lift and hold with the tip
+# up, since a level blade leaks.
+_SCOOP = (
+    (0.0, 0.590, 0.235, -0.65),
+    (2.5 / 15, 0.620, 0.165, -0.65),
+    (7.0 / 15, 0.735, 0.050, -0.60),
+    (9.5 / 15, 0.775, 0.060, -0.02),
+    (11.5 / 15, 0.785, 0.120, 0.22),
+    (14.0 / 15, 0.785, 0.260, 0.28),
+    (1.0, 0.785, 0.260, 0.28),
+)
+
+
+def scoop(seconds: float = 15.0, dt: float = 0.004) -> Tensor:
+    """A hand-made digging motion `(T+1, 3)`: x [m], z [m], angle [rad], by monotone cubics through way points.
+
+    With it the lag F/s behind the reference decides how deep the blade goes, and so how much it loads.
+    """
+    t, *points = np.array(_SCOOP).T
+    times = np.arange(round(seconds / dt) + 1) * dt / seconds
+    return torch.from_numpy(scipy.interpolate.PchipInterpolator(t, np.stack(points, -1))(times.clip(max=1.0)))
+
+
+def dig(scenes: Scenes, reference: Tensor, stiffness: Tensor, seeds: list[int]) -> Recording:
+    """Let all arms of `scenes` follow their references from rest at the first point.
+
+    Args:
+        scenes: N copies of the scene.
+        reference: `(T+1, 3)` or `(N, T+1, 3)`, one point a time step of the scene: x [m], z [m], angle [rad].
+        stiffness: `()`, `(N,)` or `(N, T)` [N/m].
+        seeds: of the beds, one a roll-out.
+
+    Raises:
+        InvalidArgumentError: shapes that do not agree, or a first point out of reach.
+    """
+    N, dt = scenes.n, scenes.gravel.time_step
+    n_steps = reference.shape[-2] - 1
+    if n_steps < 1 or reference.shape not in ((n_steps + 1, 3), (N, n_steps + 1, 3)):
+        raise InvalidArgumentError(f"reference has to be (T+1, 3) or ({N}, T+1, 3), got {tuple(reference.shape)}")
+    if tuple(stiffness.shape) not in ((), (N,), (N, n_steps)):
+        raise InvalidArgumentError(f"stiffness has to be (), ({N},) or ({N}, {n_steps}), got {tuple(stiffness.shape)}")
+    with torch.no_grad():
+        reference = reference.detach().to(torch.float64).expand(N, -1, -1)
+        s = stiffness.detach().to(torch.float64)
+        s = (s if s.ndim == 2 else s.unsqueeze(-1)).expand(N, n_steps)
+        rates = reference.diff(dim=1) / dt
+        q = lwr.posture(*reference[:, 0].unbind(-1))
+        # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
+        control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
+        scenes.reset(q, seeds)
+        poses, forces, torques, seconds = [reference[:, 0]], [], [], [0.0, 0.0]
+        began = time.perf_counter()
+        for i in range(n_steps):
+            # A roll-out that explodes must not take the others with it; it is marked at the end.
+            q, v = scenes.q.nan_to_num(0.0, 0.0, 0.0), scenes.v.nan_to_num(0.0, 0.0, 0.0)
+            point, rate = reference[:, i + 1], rates[:, i]
+            wanted = PlaneReference(point[:, :2], point[:, 2], rate[:, :2], rate[:, 2])
+            asked = control(q, v, scenes.mass, scenes.bias, wanted, s[:, i])
+            if i > 0:
+                poses.append(torch.cat([asked.x, asked.angle.unsqueeze(-1)], -1))
+            torques.append(asked.torque)
+            decided = time.perf_counter()
+            scenes.step(asked.torque)
+            stepped = time.perf_counter()
+            seconds[0] += decided - began
+            seconds[1] += stepped - decided
+            began = stepped
+            forces.append(scenes.force)
+        _, last = control.chain.jacobian(scenes.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
+        poses.append(torch.stack([last[:, 0, 3], last[:, 2, 3], torch.atan2(last[:, 2, 0], last[:, 0, 0])], -1))
+        force = torch.stack(forces, 1)
+        force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
+        load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
+    recorded = torch.stack(poses, 1), force, torch.stack(torques, 1), s.clone(), load, scenes.failed
+    return Recording(*recorded, control_seconds=seconds[0], physics_seconds=seconds[1])

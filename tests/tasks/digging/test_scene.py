@@ -1,0 +1,170 @@
+"""Gravel and scene: beds at rest, what the wrist weighs, threads, and roll-outs that fail."""
+
+import pytest
+import torch
+
+from torchds.errors import InvalidArgumentError
+
+mujoco = pytest.importorskip("mujoco")
+pytest.importorskip("pytorch_kinematics")
+
+import numpy as np  # noqa: E402
+
+from tasks.digging import gravel, lwr  # noqa: E402
+from tasks.digging.scene import COARSE, PREFIX, Scenes  # noqa: E402
+from tasks.digging.simulation import dig, scoop  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def start():
+    return lwr.posture(*torch.tensor([0.59, 0.235, -0.65], dtype=torch.float64))
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return Scenes(COARSE, 2)
+
+
+def held(scenes, start, n_steps):
+    """Advance with the arm held by a stiff spring at each joint."""
+    for _ in range(n_steps):
+        scenes.step(scenes.bias + 300 * (start - scenes.q) - 20 * scenes.v)
+
+
+def test_the_default_bed_is_at_rest_and_whole():
+    scenes = Scenes(gravel.Gravel(), 1)
+    q = lwr.posture(*torch.tensor([0.59, 0.30, -0.65], dtype=torch.float64))
+    scenes.reset(q, [0])
+    held(scenes, q, 100)
+    assert scenes.kinetic_energy.item() < 1e-4  # J: as if all 8 kg moved at 5 mm/s
+    assert not scenes.failed.any() and not scenes.batch.warning.any()
+    top = scenes.grains[..., 1].max().item()
+    assert 0.08 < top < 0.12
+
+
+def test_a_bed_stays_at_rest_after_the_perturbation(scenes, start):
+    scenes.reset(start, [3, 4])
+    held(scenes, start, 250)
+    assert (scenes.kinetic_energy < 2e-4).all()
+    assert not scenes.failed.any() and not scenes.batch.warning.any()
+    moved = scenes.grains[..., :2] - torch.from_numpy(scenes.settled[:, :2])
+    assert float(moved.norm(dim=-1).mean()) < 0.005
+
+
+def test_the_wrist_weighs_the_empty_shovel(scenes, start):
+    scenes.reset(start, [0, 1])
+    held(scenes, start, 250)
+    expected = torch.tensor([[0.0, 0.0, 5.886]], dtype=torch.float64).expand(2, 3)
+    torch.testing.assert_close(scenes.force, expected, atol=0.05, rtol=0)
+
+
+def test_the_arm_comes_first_and_its_mass_matrix_is_gathered(scenes, start):
+    model, data = scenes.model, mujoco.MjData(scenes.model)
+    assert [model.joint(i).name for i in range(7)] == [PREFIX + name for name in lwr.JOINTS]
+    scenes.reset(start, [0, 1])
+    data.qpos[:] = scenes.batch.bind("qpos")[1]
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    np.testing.assert_array_equal(scenes.mass[1], full[:7, :7])
+    np.testing.assert_array_equal(scenes.bias[1], data.qfrc_bias[:7])
+
+
+def test_beds_differ_by_their_seed_alone(scenes, start):
+    scenes.reset(start, [7, 8])
+    first = scenes.grains
+    scenes.reset(start, [8, 7])
+    assert torch.equal(first, scenes.grains.flip(0))
+    difference = (first[0] - first[1])[:, :2]
+    assert 1e-4 < float(difference.std()) < 2e-4
+
+
+def test_grains_are_numbered_by_their_place():
+    x = gravel.bed(COARSE)[:, 0]
+    assert np.corrcoef(x, np.arange(len(x)))[0, 1] > 0.99
+
+
+def test_a_bed_is_settled_once(monkeypatch):
+    bed = gravel.bed(COARSE)
+
+    def settle(settings):
+        raise AssertionError("settled again")
+
+    monkeypatch.setattr(gravel, "settle", settle)
+    np.testing.assert_array_equal(gravel.bed(COARSE), bed)
+    with pytest.raises(AssertionError, match="settled again"):
+        gravel.bed(gravel.Gravel(n_grains=100, radius=(0.009, 0.014), seed=1))
+    assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".npy"]
+
+
+def test_settings_without_a_bed_are_refused():
+    with pytest.raises(InvalidArgumentError, match="a bed needs grains"):
+        gravel.Gravel(radius=(0.02, 0.01))
+    with pytest.raises(InvalidArgumentError, match="have to be positive"):
+        gravel.Gravel(density=0.0)
+    with pytest.raises(gravel.SettlingError, match="still moves"):
+        gravel.settle(gravel.Gravel(n_grains=20, seconds=0.02))
+    with pytest.raises(InvalidArgumentError, match="one seed for each"):
+        Scenes(COARSE, 2).reset(torch.zeros(7, dtype=torch.float64), [1])
+
+
+def test_a_roll_out_that_explodes_is_marked_and_leaves_the_others_alone(scenes, start):
+    reference, s = scoop(0.2), torch.tensor(300.0)
+    whole = dig(scenes, reference, s, [0, 1])
+    assert not whole.failed.any()
+    scenes.reset(start, [0, 1])
+    scenes.batch.bind("qvel")[0, 20] = 1e12
+    held(scenes, start, 5)
+    assert scenes.failed.tolist() == [True, False]
+    scenes.reset(start, [0, 1])
+    assert not scenes.failed.any()
+    scenes.batch.bind("qpos")[1, 7] = 2.0  # a grain outside
+    assert scenes.failed.tolist() == [False, True]
+
+
+def test_the_number_of_threads_changes_no_bit():
+    reference = scoop(4.0)[:500]
+    s = torch.tensor([75.0, 300.0, 450.0])
+    one, two = (dig(Scenes(COARSE, 3, threads), reference, s, [5, 6, 7]) for threads in (1, 2))
+    alone = dig(Scenes(COARSE, 1), reference, s[1:2], [6])
+    assert one.force[..., 2].abs().max() > 1.0  # it has touched the gravel
+    for name in ("pose", "force", "torque", "load"):
+        assert torch.equal(getattr(one, name), getattr(two, name)), name
+    torch.testing.assert_close(alone.pose[0, :50], one.pose[1, :50], rtol=0, atol=1e-9)
+
+
+def test_without_gravel_in_the_way_the_tool_follows():
+    reference = scoop(5.0)
+    reference = reference[:1].lerp(
+        reference[:1] + torch.tensor([0.1, 0.05, 0.4]), torch.linspace(0, 1, 400)[:, None].double()
+    )
+    path = dig(Scenes(COARSE, 1), reference, torch.tensor(300.0), [0])
+    error = path.pose[0, -1] - reference[-1]
+    assert error.abs().max() < 0.01
+    assert path.load.abs().max() < 0.2
+
+
+def test_a_soft_arm_loads_less_than_a_stiff_one():
+    """The trade-off that the stiffness is learned for: 75 N/m lag behind and scrape, 300 N/m dig."""
+    path = dig(Scenes(COARSE, 4), scoop(7.0), torch.tensor([75.0, 75.0, 300.0, 300.0]), [1, 2, 1, 2])
+    assert not path.failed.any()
+    soft, stiff = path.load[:2].mean(), path.load[2:].mean()
+    assert soft + 1.0 < stiff
+    depth = path.pose[..., 1].amin(1)
+    assert (depth[:2] > depth[2:]).all()
+    limit = torch.tensor(lwr.EFFORTS, dtype=torch.float64)
+    assert (path.torque.abs() < 0.9 * limit).all()
+
+
+def test_bad_references_are_refused(scenes):
+    with pytest.raises(InvalidArgumentError, match="reference has to be"):
+        dig(scenes, torch.zeros(3, 5, 3), torch.tensor(100.0), [0, 1])
+    with pytest.raises(InvalidArgumentError, match="stiffness has to be"):
+        dig(scenes, scoop(1.0), torch.zeros(3), [0, 1])
