@@ -12,6 +12,7 @@ What it is not: MuJoCo's soft friction creeps, at 0.4 to 0.6 mm/s in a level bed
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
@@ -150,15 +151,21 @@ def bed(gravel: Gravel) -> np.ndarray:
         SettlingError: the settings give no bed at rest.
     """
     path = cache_folder() / f"gravel-{gravel.key()}.npy"
-    if path.exists():
-        return np.asarray(np.load(path))
-    places = settle(gravel)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Written aside and renamed: another process never reads half a file.
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-        np.save(file, places)
-    os.replace(file.name, path)
+    try:
+        places = np.asarray(np.load(path))
+    except (OSError, ValueError, EOFError):  # not there, or not what its name claims
+        places = settle(gravel)
+        _keep(path, places)
     return places
+
+
+def _keep(path: Path, places: np.ndarray) -> None:
+    """Written aside and renamed, so that another process never reads half a file; where nothing can be written, not kept."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            np.save(file, places)
+        os.replace(file.name, path)
 
 
 def settle(gravel: Gravel) -> np.ndarray:

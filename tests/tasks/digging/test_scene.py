@@ -1,15 +1,18 @@
 """Gravel and scene: beds at rest, what the wrist weighs, threads, and roll-outs that fail."""
 
+import importlib.util
+
 import pytest
 import torch
 
-from torchds.errors import InvalidArgumentError
+from torchds.errors import InvalidArgumentError, MissingPackageError
 
 mujoco = pytest.importorskip("mujoco")
 pytest.importorskip("pytorch_kinematics")
 
 import numpy as np  # noqa: E402
 
+import tasks.digging  # noqa: E402
 from tasks.digging import gravel, lwr  # noqa: E402
 from tasks.digging.scene import COARSE, PREFIX, Scenes  # noqa: E402
 from tasks.digging.simulation import dig, scoop  # noqa: E402
@@ -102,6 +105,25 @@ def test_a_bed_is_settled_once(monkeypatch):
     with pytest.raises(AssertionError, match="settled again"):
         gravel.bed(gravel.Gravel(n_grains=100, radius=(0.009, 0.014), seed=1))
     assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".npy"]
+
+
+def test_a_broken_or_forbidden_cache_costs_only_time(tmp_path, monkeypatch):
+    bed = gravel.bed(COARSE)
+    (file,) = (path for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name)
+    file.write_bytes(b"half a file")
+    np.testing.assert_array_equal(gravel.bed(COARSE), bed)
+    np.testing.assert_array_equal(np.load(file), bed)
+    (tmp_path / "torchds").write_text("a file where the folder should be")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    np.testing.assert_array_equal(gravel.bed(COARSE), bed)
+
+
+@pytest.mark.parametrize("package", ["mujoco", "pytorch_kinematics"])
+def test_a_missing_package_is_named_with_the_extra(package, monkeypatch):
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find_spec(name))
+    with pytest.raises(MissingPackageError, match=r"torchds\[digging\]"):
+        importlib.reload(tasks.digging)
 
 
 def test_settings_without_a_bed_are_refused():
