@@ -23,9 +23,8 @@ def build(gravel: Gravel) -> mujoco.MjSpec:
     scene = mujoco.MjSpec()
     beds.options(scene, gravel)
     arm = lwr.spec()
-    shovel = {id(geom) for geom in arm.body("shovel").geoms}
     for geom in arm.geoms:
-        if id(geom) in shovel or geom.parent.name == "shovel":
+        if geom.parent.name == "shovel":
             beds.touch(geom, beds.RIGID, gravel)
             geom.rgba[:] = 0.35, 0.37, 0.40, 1
         else:

@@ -80,6 +80,15 @@ def test_the_arm_comes_first_and_its_mass_matrix_is_gathered(scenes, start):
     np.testing.assert_array_equal(scenes.bias[1], data.qfrc_bias[:7])
 
 
+def test_of_the_arm_only_the_shovel_touches_anything(scenes):
+    model = scenes.model
+    touching = {model.body(model.geom(i).bodyid[0]).name for i in range(model.ngeom) if model.geom_contype[i]}
+    grains = {f"grain{i}" for i in range(COARSE.n_grains)}
+    assert touching == {"world", PREFIX + "shovel"} | grains
+    floor_and_walls, shovel_boxes = 3, 5
+    assert np.count_nonzero(model.geom_contype == 2) == floor_and_walls + shovel_boxes
+
+
 def test_beds_differ_by_their_seed_alone(scenes, start):
     scenes.reset(start, [7, 8])
     first = scenes.grains
