@@ -61,7 +61,7 @@ class Plant(Protocol):
         """The state at rest at `x0`."""
 
     def step(self, state: Any, command: Command) -> Any:
-        """The state after one step under a command; it has at least the fields of `Motion`."""
+        """The state after one step under a command: a NamedTuple of tensors, `x` and `v` among them (docs/plants.md)."""
 
 
 class PointMass:
