@@ -32,8 +32,10 @@ Example:
 from torchds import costs as costs
 from torchds import errors as errors
 from torchds import exploration as exploration
+from torchds import impedance as impedance
 from torchds import metrics as metrics
 from torchds import optim as optim
+from torchds import plants as plants
 from torchds import stability as stability
 from torchds import visits as visits
 from torchds.demonstrations import Demonstration as Demonstration
@@ -68,12 +70,14 @@ __all__ = [
     "exploration",
     "fit_mixtures",
     "fit_stable",
+    "impedance",
     "load_csv",
     "load_lasa",
     "load_mat",
     "load_npz",
     "metrics",
     "optim",
+    "plants",
     "rollout",
     "stability",
     "visits",

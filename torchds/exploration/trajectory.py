@@ -159,7 +159,8 @@ class TrajectorySpace(Exploration):
             largest = values.amax(-1, keepdim=True).clamp_min(torch.finfo(values.dtype).tiny)
             variance = variance * values / (values + self.damping * largest)
         variance = torch.where(good, variance, 1.0)  # no finite Jacobian: the homogeneous noise
-        return chart @ (vectors * variance.sqrt().unsqueeze(-2))
+        # The symmetric root: eigenvectors have no sign or order of their own, and must not decide about the noise.
+        return chart @ (vectors * variance.sqrt().unsqueeze(-2)) @ vectors.mT
 
     def _chart(self) -> Tensor:
         """D₁^{1/2} `(P, P)` or `(*batch, P, P)`; with a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""
