@@ -48,7 +48,8 @@ class Stable(Exploration):
             * "all": the symmetric part of the noise of A_k as a whole, by a factor η, as in the paper. A policy that is on
               the boundary in one direction is then hardly explored in any: half of the draws get η ≈ 0.
             * "direction": only what offends. A_k + E is replaced by the nearest slopes that satisfy the condition, with
-              the eigenvalues of the symmetric part that are above −margin lowered to it (`stability.project`).
+              the eigenvalues of the symmetric part that are above −margin lowered to it (`stability.project`). Noise that
+              is large against the room has a mean then, into the set.
             * "none": nothing. b stays tied to the goal, stability is not kept.
         margin: that the samples keep from the boundary [1/s], or what the policy has of it where that is less.
 
@@ -124,8 +125,10 @@ class Stable(Exploration):
             raw = dict(zip(names, self.std(parameters, normals), strict=True))["A"]
         else:
             raw = drawn["A"] * torch.as_tensor(self.std, dtype=drawn["A"].dtype, device=drawn["A"].device)
+        A, b = self.policy.A.detach(), self.policy.b.detach()
         noise = {"A": self.stabilise(raw)}
-        noise["b"] = self._tied(noise["A"])
+        # Not only −ε_A x*: round-off of b + A x* would add up over many updates, and here it is taken back.
+        noise["b"] = self._tied(noise["A"]) + (self._tied(A) - b)
         return [noise[name] if name in noise else torch.zeros_like(drawn[name]) for name in names]
 
     @torch.no_grad()

@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from torchds.errors import InvalidArgumentError
-from train.paper import impedance, learning, shaping
+from train.paper import impedance, learning, shaping, stable
 from train.paper.base import Made
 
 FIGURES: dict[int, Callable[[int, int], Made]] = {
@@ -18,6 +18,9 @@ FIGURES: dict[int, Callable[[int, int], Made]] = {
     3: learning.figure_3,
     4: learning.figure_4,
     5: shaping.figure_5,
+    6: stable.figure_6,
+    7: stable.figure_7,
+    8: stable.figure_8,
     9: impedance.figure_9,
     10: impedance.figure_10,
     11: impedance.figure_11,
