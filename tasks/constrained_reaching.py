@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.released import RELEASED_SEARCH, released_fit, released_plant
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.fits import StableFit
+from torchds.plants import Command, Motion
 
 DURATION, DT = 15.0, 0.1  # s
 N_COMPONENTS = 3
@@ -27,6 +29,13 @@ GOAL_WEIGHT, ACCELERATION_WEIGHT = 10.0, 0.01
 BOX = ((-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0))
 CORNER = BOX[0]
 START = (-7.0, 1.0 - math.sqrt((SHORTEST - math.hypot(*CORNER)) ** 2 - 36.0))
+
+# The released program: a thick left wall and a thick floor, as (low, high) corners. Between them, for x₂ from −1.5 to 0, is a
+# hole, through which the straight line from start to goal (6.32 long) leads.
+RELEASED_BLOCKS = (((-2.5, 0.0), (-1.5, 2.0)), ((-2.5, -2.5), (2.5, -1.5)))
+RELEASED_START = (-6.0, -2.0)
+RELEASED_N_COMPONENTS = 6
+RELEASED_ACCELERATION_WEIGHT = 1e-3  # of |a_j|, the same as 0.01 |v_j − v_{j−1}|
 
 # Demonstrations: cubic Bézier curves from around the start to the goal, high over the corner, coming to rest at the end.
 OFFSETS = ((-0.6, 0.3), (-0.2, -0.6), (0.5, 0.5), (0.3, -0.2))
@@ -63,26 +72,81 @@ def _side(p: Tensor, q: Tensor, x: Tensor) -> Tensor:
     return u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
 
 
+class WalledMotion(NamedTuple):
+    """A `Motion`, and the reference position that counts: where it was when the plant met a wall."""
+
+    x: Tensor
+    v: Tensor
+    acceleration: Tensor
+    stiffness: Tensor
+    force: Tensor
+    held: Tensor
+
+
+class WalledMass:
+    """The released program's tracking point mass among blocks: inside one, it and its reference rest for good.
+
+    The controller goes on pulling, so its acceleration still counts.
+
+    Args:
+        blocks: `(W, 2, D)` low and high corners.
+    """
+
+    def __init__(self, blocks: Tensor) -> None:
+        self.blocks = blocks
+        self.free = released_plant()
+
+    def inside(self, x: Tensor) -> Tensor:
+        """`(..., 1)` True inside a block, for `x` `(..., D)`."""
+        low, high = self.blocks.to(x).unbind(-2)
+        x = x.unsqueeze(-2)
+        return ((x > low) & (x < high)).all(-1).any(-1, keepdim=True)
+
+    def reset(self, x0: Tensor) -> WalledMotion:
+        """At rest at `x0`."""
+        return WalledMotion(*self.free.reset(x0), held=x0)
+
+    def step(self, state: WalledMotion, command: Command) -> WalledMotion:
+        """One step of the free plant, unless it is stuck."""
+        stuck = self.inside(state.x)
+        held = torch.where(stuck, state.held, command.x)
+        v = command.v.masked_fill(stuck, 0.0)
+        free = self.free.step(Motion(*state[:5]), command._replace(x=held, v=v))
+        x = torch.where(stuck, state.x, free.x)
+        return WalledMotion(x, free.v.masked_fill(self.inside(x), 0.0), *free[2:], held=held)
+
+
+def _outline(block: Tensor) -> Tensor:
+    """The four sides `(4, 2, 2)` of a block `(2, 2)`."""
+    (x0, y0), (x1, y1) = block.tolist()
+    corners = block.new_tensor([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return torch.stack([corners, corners.roll(-1, 0)], 1)
+
+
 class ConstrainedReaching(Task):
     """A goal in a box that is open at the top; whoever hits a wall stays there until the end (Eq. 41).
 
     The cost is 10 |x^goal − x_T|² + 0.01 Σ_j |v_j − v_{j−1}| + Σ_j |v_j| dt − 8.815, and a control cost of r = 10⁻³. The
     motion begins as a stable one, fitted to the demonstrations with three Gaussians, of length 12.5.
 
-    Only convention="paper" is there. The released program's preset leaves the stability out, and its box has a hole in the
-    wall on the straight line from start to goal, shorter than what the cost calls the shortest path.
+    With convention="released", the problem is the one that the authors' program runs, quirks included: a tracking point
+    mass as in `ViaPoint`, judged by where it is; two thick walls with a hole between them on the straight line from start to
+    goal, which is shorter than what the cost calls the shortest path, so that the cost can fall to about −2.4; six Gaussians
+    by EM, without stability; 10⁻³ Σ_j |a_j| for the acceleration. Give `demonstrations` or `mixture`.
 
     Args:
-        condition: of the fit: "seds" as in the paper, or "p-qlf", which has a metric P of its own.
+        condition: of the fit: "seds" as in the paper, or "p-qlf", which has a metric P of its own; the released problem
+            has none.
         demonstrations: see `Task`; the goal is the origin wherever they end.
         mixture: see `Task`; taken as it is, stable or not.
         convention: see `Task`.
 
     Raises:
-        InvalidArgumentError: an unknown condition or convention.
+        InvalidArgumentError: an unknown condition or convention, or the released one without data.
     """
 
     name = "constrained_reaching"
+    conventions = ("paper", "released")
 
     def __init__(
         self,
@@ -101,9 +165,17 @@ class ConstrainedReaching(Task):
         corners = torch.tensor(BOX, dtype=torch.float64)
         self.walls = Walls(torch.stack([corners[:-1], corners[1:]], 1))
         self.search = SearchSettings(n_updates=100, control_weight=1e-3, std=0.05, spread=0.2)
+        self.plant: WalledMass | None = None
+        if convention == "released":
+            blocks = torch.tensor(RELEASED_BLOCKS, dtype=torch.float64)
+            self.start, self.plant = torch.tensor(RELEASED_START, dtype=torch.float64), WalledMass(blocks)
+            self.walls = Walls(torch.cat([_outline(block) for block in blocks]))
+            self.search = replace(RELEASED_SEARCH, control_weight=1e-3, mean_speed=0.04)
 
     def default_demonstrations(self) -> Demonstrations:
         """Four detours from around the start."""
+        if self.convention == "released":
+            raise self.needs_data()
         s = 1.0 - (1.0 - torch.linspace(0.0, 1.0, 121, dtype=torch.float64)[:, None]) ** 2  # coming to rest
         tracks = []
         for offset in torch.tensor(OFFSETS, dtype=torch.float64):
@@ -113,7 +185,9 @@ class ConstrainedReaching(Task):
         return Demonstrations(tracks, dt=DEMONSTRATED / (len(s) - 1))
 
     def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
-        """Three Gaussians over position and velocity, not stable; the policy is another fit."""
+        """Gaussians over position and velocity, not stable; the paper's policy is another fit."""
+        if self.convention == "released":
+            return released_fit(demonstrations, RELEASED_N_COMPONENTS)
         return GaussianMixture.fit(demonstrations, N_COMPONENTS)
 
     @cached_property
@@ -124,11 +198,16 @@ class ConstrainedReaching(Task):
     @property
     def P(self) -> Tensor | None:
         """Of the condition that the policy satisfies; None for the identity."""
-        return self.stable_fit.P if self.condition == "p-qlf" and self._mixture is None else None
+        return self.stable_fit.P if self.condition == "p-qlf" and not self._as_it_is else None
+
+    @property
+    def _as_it_is(self) -> bool:
+        """Whether the policy is that of a mixture, and no stable fit."""
+        return self._mixture is not None or self.convention == "released"
 
     def policy(self) -> GMRPolicy:
         """The imitated detour."""
-        if self._mixture is not None:
+        if self._as_it_is:
             return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
         return copy.deepcopy(self.stable_fit.policy)
 
@@ -138,6 +217,8 @@ class ConstrainedReaching(Task):
 
     def rollout(self, policy: GMRPolicy) -> Rollout:
         """One trial, which ends at the first wall."""
+        if self.plant is not None:
+            return rollout(policy, **self.motion(), plant=self.plant)
         return rollout(policy, **self.motion(), stop=self.walls)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
@@ -147,8 +228,13 @@ class ConstrainedReaching(Task):
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
         """The acceleration, and the path length beyond the shortest one, spread over the steps."""
+        if self.plant is None:
+            acceleration = ACCELERATION_WEIGHT * costs.acceleration_steps(path.v)
+        else:
+            a = path.plant.acceleration[..., 1:, :]
+            acceleration = RELEASED_ACCELERATION_WEIGHT * torch.linalg.vector_norm(a, dim=-1)
         return {
-            "acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v),
+            "acceleration": acceleration,
             "path_length": torch.linalg.vector_norm(path.v, dim=-1) * path.dt - SHORTEST / path.v.shape[-2],
         }
 
