@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -388,9 +388,16 @@ class GMRPolicy(nn.Module):
             value: what to pack in place of each parameter, as for `rows`.
         """
         get = value or (lambda parameter: parameter)
-        A, b = get(self.A), get(self.b)
+        named = {"A": get(self.A), "b": get(self.b)}
         if self.stiffness_dim:
-            A, b = cat_broadcast([A, get(self.stiffness_A)], -2), cat_broadcast([b, get(self.stiffness_b)], -1)
+            named |= {"stiffness_A": get(self.stiffness_A), "stiffness_b": get(self.stiffness_b)}
+        return self.join(named)
+
+    def join(self, named: Mapping[str, Tensor]) -> Tensor:
+        """The inverse of `split`: θ `(*batch, P)` from the parameters by name."""
+        A, b = named["A"], named["b"]
+        if self.stiffness_dim:
+            A, b = cat_broadcast([A, named["stiffness_A"]], -2), cat_broadcast([b, named["stiffness_b"]], -1)
         return cat_broadcast([A.flatten(-2), b], -1).flatten(-2)
 
     def split(self, theta: Tensor) -> dict[str, Tensor]:

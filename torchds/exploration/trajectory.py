@@ -165,9 +165,8 @@ class TrajectorySpace(Exploration):
     def _chart(self) -> Tensor:
         """D₁^{1/2} `(P, P)` or `(*batch, P, P)`; with a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""
         policy, std = self.policy, self._homogeneous.std()
-        names = {id(p): name for name, p in policy.named_parameters()}
         if self.goal is None:
-            return torch.diag_embed(policy.pack(lambda p: std[names[id(p)]]))
+            return torch.diag_embed(policy.join(std))
         # |x − x*| under each Gaussian, root mean square; one standard deviation for all of A, since noise that is as fast near
         # the goal as elsewhere would be large noise of the slopes there.
         away = (policy.means - self.goal).square() + policy.covariances.diagonal(dim1=-2, dim2=-1)
@@ -176,8 +175,8 @@ class TrajectorySpace(Exploration):
         std["A"] = (speed / distance)[..., None, None, None].expand_as(std["A"])
         follow = policy.split(torch.eye(policy.pack().shape[-1], dtype=away.dtype, device=away.device))
         follow["b"] = -(follow["A"] @ self.goal.to(away).unsqueeze(-1)).squeeze(-1)
-        tie = policy.pack(lambda p: follow[names[id(p)]]).mT  # columns that belong to b are zero
-        return tie * policy.pack(lambda p: std[names[id(p)]]).unsqueeze(-2)
+        tie = policy.join(follow).mT  # columns that belong to b are zero
+        return tie * policy.join(std).unsqueeze(-2)
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """L z, cut into the parameters."""

@@ -29,12 +29,6 @@ def velocity_noise(policy: GMRPolicy, covariance: Tensor, x: Tensor) -> Tensor:
     return large.sqrt() * np.sqrt(2 / np.pi) * torch.from_numpy(np.asarray(elliptic))
 
 
-def diagonal(policy: GMRPolicy, std: dict[str, Tensor]) -> Tensor:
-    """The covariance `(P, P)` of independent noise with standard deviations by name."""
-    names = {id(p): name for name, p in policy.named_parameters()}
-    return policy.pack(lambda p: std[names[id(p)]].expand_as(p)).square().diag()
-
-
 @torch.no_grad()
 def figure_5(runs: int, seed: int) -> Made:
     """Maps of the mean norm of the velocity noise, and motions under that noise."""
@@ -44,15 +38,15 @@ def figure_5(runs: int, seed: int) -> Made:
     ones = {name: torch.ones_like(p) for name, p in policy.named_parameters()}
     homogeneous = Homogeneous(policy, mean_speed=1.0)
     along = TrajectorySpace(policy, **task.motion(), spread=task.search.spread, mean_speed=task.search.mean_speed)
-    columns: list[tuple[str, Tensor, float, Exploration]] = [
-        ("uniform", diagonal(policy, ones), 1.0, Gaussian(1.0)),
-        ("homogeneous (section 4.1)", diagonal(policy, homogeneous.std()), 1.0, homogeneous),
-        ("along the motion", along.covariance, 1.0, along),
+    columns: list[tuple[str, Tensor, Exploration]] = [
+        ("uniform", policy.join(ones).square().diag(), Gaussian(1.0)),
+        ("homogeneous (section 4.1)", policy.join(homogeneous.std()).square().diag(), homogeneous),
+        ("along the motion", along.covariance, along),
     ]
     figure = Figure(figsize=(16, 10.5), layout="constrained")
     grid = figure.subplots(2, 3)
     lines = []
-    for (upper, lower), (title, covariance, _, exploration) in zip(grid.T, columns, strict=True):
+    for (upper, lower), (title, covariance, exploration) in zip(grid.T, columns, strict=True):
         on_path = velocity_noise(policy, covariance, path[:-1])
         typical = float(on_path.median())
         desired = 1.0 if exploration is not along else typical
