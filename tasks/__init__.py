@@ -24,22 +24,43 @@ TASKS: dict[str, type[Task]] = {
 }
 
 
+NAMES = (*TASKS, "lwr_digging")
+"""All tasks; the digging task needs its extra, and is imported when it is asked for."""
+
+
+def task_class(name: str) -> type[Task]:
+    """The class of the task `name`.
+
+    Raises:
+        UnknownNameError: no task of this name; the message lists them.
+        MissingPackageError: the task needs an extra that is not installed.
+    """
+    if name not in NAMES:
+        raise UnknownNameError("task", name, NAMES)
+    if name == "lwr_digging":
+        from tasks.digging.task import LwrDigging
+
+        return LwrDigging
+    return TASKS[name]
+
+
 def make(name: str, **options: Any) -> Task:
     """Build the task `name` with its own options.
 
     Raises:
         UnknownNameError: no task of this name; the message lists them.
+        MissingPackageError: the task needs an extra that is not installed.
         InvalidArgumentError: an option that the task does not have, or a value that it does not allow.
     """
-    if name not in TASKS:
-        raise UnknownNameError("task", name, TASKS)
-    allowed = inspect.signature(TASKS[name]).parameters
+    cls = task_class(name)
+    allowed = inspect.signature(cls).parameters
     if strangers := sorted(set(options) - set(allowed)):
         raise InvalidArgumentError(f"task {name!r} has no option {', '.join(strangers)}; it has {', '.join(allowed)}")
-    return TASKS[name](**options)
+    return cls(**options)
 
 
 __all__ = [
+    "NAMES",
     "TASKS",
     "ConstrainedReaching",
     "DivergentField",
@@ -50,4 +71,5 @@ __all__ = [
     "TwoStarts",
     "ViaPoint",
     "make",
+    "task_class",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,11 +12,13 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.homogeneous import Rule
 from torchds.optim.functional import Temperature
+from torchds.plants import Plant
 from torchds.recordings import load
+from torchds.rollouts import StopCondition
 
 Convention = Literal["paper", "released"]
 
@@ -89,11 +91,17 @@ class Task(ABC):
     Class attributes:
         name: in the registry and in `logs/`.
         conventions: the ones that the task has.
+
+    Attributes:
+        plant: what tracks the motion; None where the motion itself counts.
+        stop: what ends it early; None for nothing.
     """
 
     name: str
     conventions: tuple[Convention, ...] = ("paper",)
     search: SearchSettings
+    plant: Plant | None = None
+    stop: StopCondition | None = None
 
     def __init__(
         self,
@@ -129,10 +137,6 @@ class Task(ABC):
         """`x0` `(*points, D)`, `n_steps` and `dt` [s] of the reference motion."""
 
     @abstractmethod
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
-
-    @abstractmethod
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """The named cost terms of a trial, each `(*batch)`; their sum is the cost."""
 
@@ -154,6 +158,10 @@ class Task(ABC):
         return {}
 
     # ------------------------------------------------------------------ what follows from it
+
+    def rollout(self, policy: GMRPolicy) -> Rollout:
+        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
+        return rollout(policy, **self.motion(), stop=self.stop, plant=self.plant)
 
     def needs_data(self) -> InvalidArgumentError:
         """The error of a convention whose demonstrations the user has to bring."""

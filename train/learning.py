@@ -76,6 +76,7 @@ class Learner:
             "policy": self.policy.state_dict(),
             "optimizer": self.optim.state_dict(),
             "decay": self.decay.state_dict(),
+            "task": self.task.state_dict(),
             "history": asdict(self.history),
         }
 
@@ -84,4 +85,5 @@ class Learner:
         self.policy.load_state_dict(state["policy"])
         self.optim.load_state_dict(state["optimizer"])
         self.decay.load_state_dict(state["decay"])
+        self.task.load_state_dict(state["task"])
         self.history = History(**state["history"])

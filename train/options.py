@@ -142,6 +142,27 @@ class ConstrainedReachingOptions(RunOptions):
         return super().task_options() | {"condition": self.condition}
 
 
+@dataclass
+class LwrDiggingOptions(RunOptions):
+    """Learn to shovel gravel with a simulated KUKA LWR (section 6)."""
+
+    task: ClassVar[str] = "lwr_digging"
+
+    initial_stiffness: float = 150.0
+    """Uniform stiffness before learning [N/m]."""
+    grains: Literal["fine", "coarse"] = "fine"
+    """The bed: 330 grains, or 100 large ones for tests."""
+    seconds: float = 15.0
+    """Duration of the motion."""
+    threads: int = 2
+    """Threads that share the roll-outs of a batch; the results do not depend on them."""
+
+    def task_options(self) -> dict[str, Any]:
+        """The common options and those of the scene; runs of another seed meet other beds."""
+        mine = ("initial_stiffness", "grains", "seconds", "threads", "seed")
+        return super().task_options() | {name: getattr(self, name) for name in mine}
+
+
 TASK_OPTIONS: dict[str, type[RunOptions]] = {
     cls.task: cls
     for cls in (
@@ -150,5 +171,6 @@ TASK_OPTIONS: dict[str, type[RunOptions]] = {
         DivergentFieldOptions,
         HalfPlaneForceOptions,
         ConstrainedReachingOptions,
+        LwrDiggingOptions,
     )
 }

@@ -159,6 +159,20 @@ def posture(x: Tensor, z: Tensor, angle: Tensor) -> Tensor:
     Raises:
         InvalidArgumentError: out of reach, or beyond the limits of a joint.
     """
+    q, within = _elbow_up(x, z, angle)
+    if not within.all():
+        raise InvalidArgumentError(
+            f"the tool does not reach x={x.tolist()}, z={z.tolist()} m at angle={angle.tolist()} rad with the elbow up"
+        )
+    return q
+
+
+def reaches(x: Tensor, z: Tensor, angle: Tensor) -> Tensor:
+    """`(...)` whether `posture` has an answer; False where a number is not finite."""
+    return _elbow_up(x, z, angle)[1]
+
+
+def _elbow_up(x: Tensor, z: Tensor, angle: Tensor) -> tuple[Tensor, Tensor]:
     x, z, angle = torch.broadcast_tensors(x, z, angle)
     hand = TOOL_ANGLE - angle  # of the flange's z, below the horizon
     u, w = x - HAND * hand.cos(), z + HAND * hand.sin() - SHOULDER_HEIGHT  # of the wrist, seen from the shoulder
@@ -169,11 +183,7 @@ def posture(x: Tensor, z: Tensor, angle: Tensor) -> Tensor:
     zero = torch.zeros_like(x)
     q = torch.stack([zero, -upper, zero, a4, zero, a6, zero], -1)
     limit = q.new_tensor([radians(link.limit) for link in LINKS])
-    if (cosine.abs() > 1).any() or (q.abs() > limit).any():
-        raise InvalidArgumentError(
-            f"the tool does not reach x={x.tolist()}, z={z.tolist()} m at angle={angle.tolist()} rad with the elbow up"
-        )
-    return q
+    return q, (cosine.abs() <= 1) & (q.abs() <= limit).all(-1)
 
 
 def _vector(x: float, y: float, z: float) -> np.ndarray:

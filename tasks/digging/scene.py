@@ -127,6 +127,10 @@ class Scenes:
         """`(N, G, 3)` places of the grains: x, z [m], turn [rad]."""
         return torch.from_numpy(self._qpos[:, lwr.N_JOINTS :].reshape(self.n, -1, 3).copy())
 
+    def snapshot(self) -> Tensor:
+        """`(N, nq)` generalised positions of arm and grains now, in single precision."""
+        return torch.from_numpy(self._qpos.astype(np.float32))
+
     @property
     def kinetic_energy(self) -> Tensor:
         """`(N,)` of the grains' motion along x and z [J]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ from torchds.errors import InvalidArgumentError
 
 WEIGHING = 0.5
 """Length of the mean over the end of a roll-out that weighs the load [s]."""
+SNAPSHOT = 0.1
+"""Time between two snapshots of the whole scene [s]."""
 
 
 class Recording(NamedTuple):
@@ -29,6 +32,8 @@ class Recording(NamedTuple):
         torque: `(N, T, J)` of the joints [N m].
         stiffness: `(N, T)` [N/m].
         load: `(N,)` weight of the gravel on the shovel at the end [N].
+        snapshots: `(N, F, nq)` generalised positions of arm and grains, the start first, then every `SNAPSHOT`, in single
+            precision: enough for pictures.
         failed: `(N,)` True where the simulation exploded or lost a grain; nothing else of such a roll-out counts.
         control_seconds: wall time of kinematics, impedance law and bookkeeping [s].
         physics_seconds: wall time of MuJoCo [s].
@@ -39,6 +44,7 @@ class Recording(NamedTuple):
     torque: Tensor
     stiffness: Tensor
     load: Tensor
+    snapshots: Tensor
     failed: Tensor
     control_seconds: float
     physics_seconds: float
@@ -46,28 +52,41 @@ class Recording(NamedTuple):
 
 # t [share of the motion], x [m], z [m], angle [rad]: along the blade into the gravel, then turn, lift and hold with the tip
 # up, since a level blade leaks.
-_SCOOP = (
-    (0.0, 0.590, 0.235, -0.65),
-    (2.5 / 15, 0.620, 0.165, -0.65),
-    (7.0 / 15, 0.735, 0.050, -0.60),
-    (9.5 / 15, 0.775, 0.060, -0.02),
-    (11.5 / 15, 0.785, 0.120, 0.22),
-    (14.0 / 15, 0.785, 0.260, 0.28),
-    (1.0, 0.785, 0.260, 0.28),
+WAY_POINTS = np.array(
+    [
+        (0.0, 0.590, 0.235, -0.65),
+        (2.5 / 15, 0.620, 0.165, -0.65),
+        (7.0 / 15, 0.735, 0.050, -0.60),
+        (9.5 / 15, 0.775, 0.060, -0.02),
+        (11.5 / 15, 0.785, 0.120, 0.22),
+        (14.0 / 15, 0.785, 0.260, 0.28),
+        (1.0, 0.785, 0.260, 0.28),
+    ]
 )
 
 
-def scoop(seconds: float = 15.0, dt: float = 0.004) -> Tensor:
+def scoop(seconds: float = 15.0, dt: float = 0.004, way_points: np.ndarray = WAY_POINTS) -> Tensor:
     """A hand-made digging motion `(T+1, 3)`: x [m], z [m], angle [rad], by monotone cubics through way points.
 
     With it the lag F/s behind the reference decides how deep the blade goes, and so how much it loads.
+
+    Args:
+        seconds: its duration.
+        dt: time step [s].
+        way_points: `(L, 4)` t [share of the motion], x [m], z [m], angle [rad].
     """
-    t, *points = np.array(_SCOOP).T
+    t, *points = way_points.T
     times = np.arange(round(seconds / dt) + 1) * dt / seconds
     return torch.from_numpy(scipy.interpolate.PchipInterpolator(t, np.stack(points, -1))(times.clip(max=1.0)))
 
 
-def dig(scenes: Scenes, reference: Tensor, stiffness: Tensor, seeds: list[int]) -> Recording:
+def dig(
+    scenes: Scenes,
+    reference: Tensor,
+    stiffness: Tensor,
+    seeds: list[int],
+    progress: Callable[[float], object] | None = None,
+) -> Recording:
     """Let all arms of `scenes` follow their references from rest at the first point.
 
     Args:
@@ -75,6 +94,7 @@ def dig(scenes: Scenes, reference: Tensor, stiffness: Tensor, seeds: list[int]) 
         reference: `(T+1, 3)` or `(N, T+1, 3)`, one point a time step of the scene: x [m], z [m], angle [rad].
         stiffness: `()`, `(N,)` or `(N, T)` [N/m].
         seeds: of the beds, one a roll-out.
+        progress: called with the simulated time [s] ten times a second of it.
 
     Raises:
         InvalidArgumentError: shapes that do not agree, or a first point out of reach.
@@ -95,6 +115,7 @@ def dig(scenes: Scenes, reference: Tensor, stiffness: Tensor, seeds: list[int]) 
         control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
         scenes.reset(q, seeds)
         poses, forces, torques, seconds = [reference[:, 0]], [], [], [0.0, 0.0]
+        snapshots, between = [scenes.snapshot()], round(SNAPSHOT / dt)
         began = time.perf_counter()
         for i in range(n_steps):
             # A roll-out that explodes must not take the others with it; it is marked at the end.
@@ -112,10 +133,23 @@ def dig(scenes: Scenes, reference: Tensor, stiffness: Tensor, seeds: list[int]) 
             seconds[1] += stepped - decided
             began = stepped
             forces.append(scenes.force)
+            if (i + 1) % between == 0:
+                snapshots.append(scenes.snapshot())
+                if progress is not None:
+                    progress((i + 1) * dt)
         _, last = control.chain.jacobian(scenes.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
         poses.append(torch.stack([last[:, 0, 3], last[:, 2, 3], torch.atan2(last[:, 2, 0], last[:, 0, 0])], -1))
         force = torch.stack(forces, 1)
         force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
         load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
-    recorded = torch.stack(poses, 1), force, torch.stack(torques, 1), s.clone(), load, scenes.failed
-    return Recording(*recorded, control_seconds=seconds[0], physics_seconds=seconds[1])
+    return Recording(
+        pose=torch.stack(poses, 1),
+        force=force,
+        torque=torch.stack(torques, 1),
+        stiffness=s.clone(),
+        load=load,
+        snapshots=torch.stack(snapshots, 1),
+        failed=scenes.failed,
+        control_seconds=seconds[0],
+        physics_seconds=seconds[1],
+    )
