@@ -91,6 +91,7 @@ class Task(ABC):
     Class attributes:
         name: in the registry and in `logs/`.
         conventions: the ones that the task has.
+        differentiable: whether the cost of a trial has gradients with respect to the policy.
 
     Attributes:
         plant: what tracks the motion; None where the motion itself counts.
@@ -98,6 +99,7 @@ class Task(ABC):
     """
 
     name: str
+    differentiable = True
     conventions: tuple[Convention, ...] = ("paper",)
     search: SearchSettings
     plant: Plant | None = None
@@ -156,6 +158,13 @@ class Task(ABC):
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """What else is worth a look in a trial, `(*batch, ...)` by TensorBoard tag."""
         return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """What changes from trial to trial; plain values and tensors only."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
 
     # ------------------------------------------------------------------ what follows from it
 

@@ -186,8 +186,7 @@ class LwrDigging(Task):
         self.wall_seconds["control"] += done.control_seconds
         self.wall_seconds["physics"] += done.physics_seconds
         done = done._replace(failed=done.failed | ~possible)
-        shaped = {k: v.reshape(*batch, *v.shape[1:]) for k, v in done._asdict().items() if isinstance(v, Tensor)}
-        return done._replace(**shaped)
+        return Recording(*(v.unflatten(0, batch) if isinstance(v, Tensor) else v for v in done))
 
     # ------------------------------------------------------------------ what it costs
 
