@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
 from tasks.released import RELEASED_SEARCH, released_fit
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
 from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
 from torchds.plants import Force, PointMass
 
@@ -98,6 +98,7 @@ class ArchTask(Task):
     setups: ClassVar[Mapping[str, Setup]]
     searches: ClassVar[Mapping[str, SearchSettings]]
     bias: float
+    plant: ImpedanceControlled
 
     def __init__(
         self,
@@ -146,10 +147,6 @@ class ArchTask(Task):
         """From the one start."""
         start = torch.tensor(self.setup.start, dtype=torch.float64)
         return {"x0": start, "n_steps": round(self.setup.duration / DT), "dt": DT}
-
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """One trial."""
-        return rollout(policy, **self.motion(), plant=self.plant)
 
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
         """Acceleration and stiffness terms of each trajectory `(*batch, *points)`."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
 from tasks.released import RELEASED_SEARCH, released_fit, released_plant
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable
 from torchds.errors import InvalidArgumentError
 from torchds.fits import StableFit
 from torchds.plants import Command, Motion
@@ -163,13 +163,12 @@ class ConstrainedReaching(Task):
         self.start = torch.tensor(START, dtype=torch.float64)
         self.goal = torch.zeros(2, dtype=torch.float64)
         corners = torch.tensor(BOX, dtype=torch.float64)
-        self.walls = Walls(torch.stack([corners[:-1], corners[1:]], 1))
+        self.walls = self.stop = Walls(torch.stack([corners[:-1], corners[1:]], 1))
         self.search = SearchSettings(n_updates=100, control_weight=1e-3, std=0.05, spread=0.2)
-        self.plant: WalledMass | None = None
         if convention == "released":
             blocks = torch.tensor(RELEASED_BLOCKS, dtype=torch.float64)
             self.start, self.plant = torch.tensor(RELEASED_START, dtype=torch.float64), WalledMass(blocks)
-            self.walls = Walls(torch.cat([_outline(block) for block in blocks]))
+            self.walls, self.stop = Walls(torch.cat([_outline(block) for block in blocks])), None
             self.search = replace(RELEASED_SEARCH, control_weight=1e-3, mean_speed=0.04)
 
     def default_demonstrations(self) -> Demonstrations:
@@ -214,12 +213,6 @@ class ConstrainedReaching(Task):
     def motion(self) -> dict[str, Any]:
         """From the one start."""
         return {"x0": self.start, "n_steps": round(DURATION / DT), "dt": DT}
-
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """One trial, which ends at the first wall."""
-        if self.plant is not None:
-            return rollout(policy, **self.motion(), plant=self.plant)
-        return rollout(policy, **self.motion(), stop=self.walls)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Goal, acceleration and path length of Eq. 41."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
 from tasks.released import RELEASED_SEARCH, released_fit, released_plant
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,6 @@ class TwoStarts(Task):
     def motion(self) -> dict[str, Any]:
         """From both starts."""
         return {"x0": self.starts, "n_steps": round(self.setup.duration / self.setup.dt), "dt": self.setup.dt}
-
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """One trial from each start."""
-        return rollout(policy, **self.motion(), plant=self.plant)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal and acceleration of Eq. 40 over both starts."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
 from tasks.released import RELEASED_SEARCH, released_fit, released_plant
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa
 from torchds.errors import InvalidArgumentError
 
 
@@ -114,10 +114,6 @@ class ViaPoint(Task):
     def motion(self) -> dict[str, Any]:
         """From the one start."""
         return {"x0": self.start, "n_steps": round(self.setup.duration / self.setup.dt), "dt": self.setup.dt}
-
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """One trial from the start."""
-        return rollout(policy, **self.motion(), plant=self.plant)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal and acceleration of Eq. 39."""

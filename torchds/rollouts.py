@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -128,50 +128,116 @@ def rollout(
         raise InvalidArgumentError(f"n_steps ≥ 1 and a finite dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
     x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
     rows = policy.rows()
-    O, v = policy.output_dim, x.new_zeros(*x.shape[:-1], policy.output_dim)
-    state: Any = None if plant is None else plant.reset(x)
-    resting = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
-    references, velocities, features, stiffness, rests, states = [x], [], [], [], [], [state]
-    inputs = []
+    O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
+    moments, features, stiffness, inputs = [now], [], [], []
     for i in range(n_steps):
         if shift is None:
-            g = policy.features(x)
+            g = policy.features(now.x)
         else:
-            inputs.append(x - _checked_shift(shift(i * dt) if callable(shift) else shift, x))
+            inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
             g = policy.features(inputs[-1])
         y = policy.outputs(g, rows)
-        v_before, v, s = v, y[..., :O], y[..., O:] if policy.stiffness_dim else None
-        x_next = torch.add(x, v[..., :D], alpha=dt)
-        if stop is not None:
-            resting = resting | stop(x, x_next)
-            rests.append(resting)
-            keep = resting.unsqueeze(-1)
-            x_next, v = torch.where(keep, x, x_next), v.masked_fill(keep, 0.0)
-        if plant is not None:
-            state = plant.step(state, Command(x, x_next, v_before, v, s, i * dt, dt))
-            states.append(state)
-        x = x_next
-        references.append(x)
-        velocities.append(v)
+        v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
+        now = advance(now, v, s, i * dt, dt, stop, plant)
+        moments.append(now)
         features.append(g)
         if s is not None:
             stiffness.append(s)
-    reference = torch.stack(references, -2)
-    time = x.ndim - 1
-    tracked = None if plant is None else type(states[0])(*(torch.stack(f, time) for f in zip(*states, strict=True)))
-    path = Rollout(
-        x=reference if tracked is None else tracked.x,
-        v=torch.stack(velocities, -2) if tracked is None else tracked.v[..., 1:, :],
-        features=torch.stack(features, -2),
-        dt=dt,
-        resting=torch.stack(rests, -1) if rests else None,
-        stiffness=torch.stack(stiffness, -2) if stiffness else None,
-        reference=reference,
-        inputs=torch.stack(inputs, -2) if inputs else reference[..., :-1, :],
-        plant=tracked,
-    )
+    path = record(moments, features, stiffness, dt, inputs)
     visits.report(policy, path.features)
     return path
+
+
+class Moment(NamedTuple):
+    """Where a roll-out is between two steps: all that the next one depends on.
+
+    Attributes:
+        x: `(*batch, *points, D)` reference position.
+        v: `(*batch, *points, O)` reference velocity of the step that led here; zero at the start.
+        resting: `(*batch, *points)` True where a stop condition holds it; None without one.
+        plant: the state of the plant; None without one.
+    """
+
+    x: Tensor
+    v: Tensor
+    resting: Tensor | None
+    plant: Any
+
+
+def begin(x: Tensor, n_velocities: int, stop: StopCondition | None = None, plant: Plant | None = None) -> Moment:
+    """At rest at the starts `x` `(*batch, *points, D)`, for a policy of `n_velocities`."""
+    return Moment(
+        x,
+        v=x.new_zeros(*x.shape[:-1], n_velocities),
+        resting=None if stop is None else torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device),
+        plant=None if plant is None else plant.reset(x),
+    )
+
+
+def advance(
+    now: Moment,
+    v: Tensor,
+    stiffness: Tensor | None,
+    t: float,
+    dt: float,
+    stop: StopCondition | None = None,
+    plant: Plant | None = None,
+) -> Moment:
+    """One step of Eq. 4, and of the plant that tracks it.
+
+    Args:
+        now: before the step.
+        v: `(*batch, *points, O)` the velocity that a policy gives.
+        stiffness: `(*batch, *points, Q)` the stiffness that it gives [N/m]; None for none.
+        t: time before the step [s].
+        dt: time step [s].
+        stop: as for `begin`; see `rollout`.
+        plant: as for `begin`; see `rollout`.
+    """
+    x, resting, state = torch.add(now.x, v[..., : now.x.shape[-1]], alpha=dt), now.resting, now.plant
+    if stop is not None and resting is not None:
+        resting = resting | stop(now.x, x)
+        keep = resting.unsqueeze(-1)
+        x, v = torch.where(keep, now.x, x), v.masked_fill(keep, 0.0)
+    if plant is not None:
+        state = plant.step(state, Command(now.x, x, now.v, v, stiffness, t, dt))
+    return Moment(x, v, resting, state)
+
+
+def record(
+    moments: Sequence[Moment],
+    features: Sequence[Tensor],
+    stiffness: Sequence[Tensor],
+    dt: float,
+    inputs: Sequence[Tensor] = (),
+) -> Rollout:
+    """The roll-out that T + 1 moments make, with what the policy saw and asked for in the T steps between them.
+
+    Args:
+        moments: T + 1 of them.
+        features: T of them, `(*batch, *points, K (D+1))` each.
+        stiffness: T of them, `(*batch, *points, Q)` each [N/m]; empty for a policy without.
+        dt: time step [s].
+        inputs: T of them, `(*batch, *points, D)` each; empty where these are the reference states.
+    """
+    steps, time = moments[1:], moments[0].x.ndim - 1
+    reference = torch.stack([moment.x for moment in moments], -2)
+    states = [moment.plant for moment in moments]
+    tracked = None
+    if states[0] is not None:
+        tracked = type(states[0])(*(torch.stack(f, time) for f in zip(*states, strict=True)))
+    rests = [step.resting for step in steps if step.resting is not None]
+    return Rollout(
+        x=reference if tracked is None else tracked.x,
+        v=torch.stack([step.v for step in steps], -2) if tracked is None else tracked.v[..., 1:, :],
+        features=torch.stack(list(features), -2),
+        dt=dt,
+        resting=torch.stack(rests, -1) if rests else None,
+        stiffness=torch.stack(list(stiffness), -2) if stiffness else None,
+        reference=reference,
+        inputs=torch.stack(list(inputs), -2) if inputs else reference[..., :-1, :],
+        plant=tracked,
+    )
 
 
 def _checked_shift(shift: Tensor, x: Tensor) -> Tensor:
