@@ -44,6 +44,9 @@ class Scenes:
         n: N, roll-outs.
         n_threads: that share them; the results are the same, bit for bit, for any number.
 
+    Attributes:
+        seconds: wall time spent so far, "control" on kinematics, impedance law and bookkeeping, "physics" on MuJoCo [s].
+
     Raises:
         InvalidArgumentError: no roll-outs or threads.
     """
@@ -53,6 +56,7 @@ class Scenes:
             raise InvalidArgumentError(f"at least one roll-out and one thread are needed, got {n} and {n_threads}")
         self.gravel = gravel
         self.n = n
+        self.seconds = {"control": 0.0, "physics": 0.0}
         self.model = build(gravel).compile()
         self.settled = beds.bed(gravel)
         self.batch = Batch(self.model, n, n_threads, persistent=False)

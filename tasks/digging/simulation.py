@@ -35,8 +35,6 @@ class Recording(NamedTuple):
         snapshots: `(N, F, nq)` generalised positions of arm and grains, the start first, then every `SNAPSHOT`, in single
             precision: enough for pictures.
         failed: `(N,)` True where the simulation exploded or lost a grain; nothing else of such a roll-out counts.
-        control_seconds: wall time of kinematics, impedance law and bookkeeping [s].
-        physics_seconds: wall time of MuJoCo [s].
     """
 
     pose: Tensor
@@ -46,8 +44,6 @@ class Recording(NamedTuple):
     load: Tensor
     snapshots: Tensor
     failed: Tensor
-    control_seconds: float
-    physics_seconds: float
 
 
 # t [share of the motion], x [m], z [m], angle [rad]: along the blade into the gravel, then turn, lift and hold with the tip
@@ -114,7 +110,7 @@ def dig(
         # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
         control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
         scenes.reset(q, seeds)
-        poses, forces, torques, seconds = [reference[:, 0]], [], [], [0.0, 0.0]
+        poses, forces, torques = [reference[:, 0]], [], []
         snapshots, between = [scenes.snapshot()], round(SNAPSHOT / dt)
         began = time.perf_counter()
         for i in range(n_steps):
@@ -129,8 +125,8 @@ def dig(
             decided = time.perf_counter()
             scenes.step(asked.torque)
             stepped = time.perf_counter()
-            seconds[0] += decided - began
-            seconds[1] += stepped - decided
+            scenes.seconds["control"] += decided - began
+            scenes.seconds["physics"] += stepped - decided
             began = stepped
             forces.append(scenes.force)
             if (i + 1) % between == 0:
@@ -150,6 +146,4 @@ def dig(
         load=load,
         snapshots=torch.stack(snapshots, 1),
         failed=scenes.failed,
-        control_seconds=seconds[0],
-        physics_seconds=seconds[1],
     )

@@ -99,7 +99,6 @@ class LwrDigging(Task):
         self.dt = self.gravel.time_step
         self.trials = 0
         self.progress: Callable[[float], object] | None = None
-        self.wall_seconds = {"control": 0.0, "physics": 0.0}
         self.search = SearchSettings(
             n_updates=10,
             n_rollouts=8,
@@ -183,10 +182,8 @@ class LwrDigging(Task):
         seeds = [self.seed * 1_000_000 + self.trials + i for i in range(n)]
         self.trials += n
         done = dig(self._scenes[n], stay, soft, seeds, self.progress)
-        self.wall_seconds["control"] += done.control_seconds
-        self.wall_seconds["physics"] += done.physics_seconds
         done = done._replace(failed=done.failed | ~possible)
-        return Recording(*(v.unflatten(0, batch) if isinstance(v, Tensor) else v for v in done))
+        return Recording(*(value.reshape(*batch, *value.shape[1:]) for value in done))
 
     # ------------------------------------------------------------------ what it costs
 
@@ -241,6 +238,12 @@ class LwrDigging(Task):
         return Scene(self.start[None, :2], self.goal[:2], unit="m", walls=walls.to(torch.float64))
 
     # ------------------------------------------------------------------ books
+
+    @property
+    def wall_seconds(self) -> dict[str, float]:
+        """Wall time of all trials so far: "control" for kinematics, impedance law and bookkeeping, "physics" for MuJoCo [s]."""
+        spent = [scenes.seconds for scenes in self._scenes.values()]
+        return {name: sum(s[name] for s in spent) for name in ("control", "physics")}
 
     def state_dict(self) -> dict[str, Any]:
         """How many trials there were, which decides about the next bed."""
