@@ -34,7 +34,7 @@ class SearchSettings:
         mean_speed: of the homogeneous exploration [velocity unit of the task].
         rule: of the homogeneous exploration.
         std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
-        spread: of the exploration along the motion [position unit of the task].
+        spread: of the exploration along the motion [position unit of the task]; one for each output where units differ.
         widening: of the exploration along the motion (see `TrajectorySpace`).
         damping: of the same.
         mean_stiffness: of the noise in each stiffness row [N/m].
@@ -50,7 +50,7 @@ class SearchSettings:
     mean_speed: float = 0.1
     rule: Rule = "moment"
     std: float = 0.01
-    spread: float = 0.5
+    spread: float | tuple[float, ...] = 0.5
     widening: float = 3.0
     damping: float = 1e-4
     mean_stiffness: float = 0.0

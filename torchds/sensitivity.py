@@ -20,13 +20,15 @@ def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor
     """
     O = policy.output_dim
     x = path.inputs
-    before = torch.cat([torch.zeros_like(J[..., :1, :, :]), J[..., :-1, :, :]], -3)
-    return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ before
+    return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ _before(J[..., : policy.input_dim, :])
 
 
 @torch.no_grad()
 def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
-    r"""The Jacobian of the reference positions with respect to θ, `(*batch, *points, T, D, P)` for the states 1..T.
+    r"""The Jacobian of the reference with respect to θ, `(*batch, *points, T, O, P)` for the states 1..T.
+
+    The first D rows are the positions. A policy with more velocities than inputs (Eq. 36: the angle's rate) has further
+    rows, those of the integrals of these velocities (Eq. 38).
 
     Along x_{t+1} = x_t + f(x_t) dt with f = G_x θ (Eq. 4, 8),
 
@@ -51,4 +53,16 @@ def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
     steps = [pushes[0]]
     for F, B in zip(turns[1:], pushes[1:], strict=True):
         steps.append(torch.baddbmm(B, F, steps[-1]))
-    return torch.stack(steps, -3).reshape(*lead, *push.shape[-3:])
+    J = torch.stack(steps, -3).reshape(*lead, *push.shape[-3:])
+    O = policy.output_dim
+    if O == D:
+        return J
+    rates = policy.basis(x)[..., D:O, :] + policy.jacobian(x)[..., D:O, :] @ _before(J)
+    if path.resting is not None:
+        rates = rates.masked_fill(rests, 0.0)
+    return torch.cat([J, path.dt * rates.cumsum(-3)], -2)
+
+
+def _before(J: Tensor) -> Tensor:
+    """Rows of the states 0..T−1 from those of 1..T; the start does not depend on θ."""
+    return torch.cat([torch.zeros_like(J[..., :1, :, :]), J[..., :-1, :, :]], -3)

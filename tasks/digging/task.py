@@ -103,10 +103,11 @@ class LwrDigging(Task):
             n_updates=10,
             n_rollouts=8,
             control_weight=1e-12,
-            mean_speed=0.004,
-            mean_stiffness=30.0,
-            spread=0.01,
-            stiffness_spread=30.0,
+            mean_speed=0.005,
+            mean_stiffness=50.0,
+            spread=(0.01, 0.01, 0.1),
+            stiffness_spread=50.0,
+            damping=1e-2,
             elite="nominal",
         )
         if self.demonstrations.dim != 3:

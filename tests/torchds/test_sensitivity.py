@@ -16,7 +16,7 @@ from torchds.sensitivity import sensitivity, stiffness_sensitivity
 
 
 class Path(nn.Module):
-    """The states 1..T of a roll-out, as a module that `functional_call` can hand parameters to."""
+    """The states 1..T of a roll-out, and the integrals of velocities beyond the inputs, for `functional_call`."""
 
     def __init__(self, policy, x0, n_steps, dt, stop=None):
         super().__init__()
@@ -24,7 +24,9 @@ class Path(nn.Module):
         self.options = {"x0": x0, "n_steps": n_steps, "dt": dt, "stop": stop}
 
     def forward(self):
-        return rollout(self.policy, **self.options).x[..., 1:, :]
+        path = rollout(self.policy, **self.options)
+        D = path.x.shape[-1]
+        return torch.cat([path.x[..., 1:, :], path.dt * path.v[..., D:].cumsum(-2)], -1)
 
 
 def by_autograd(policy, *options, of=Path):
@@ -46,7 +48,7 @@ def single(policy, index):
 def test_it_is_the_derivative_that_autograd_finds(random_policy, randn, K, D, O, Q):
     policy, x0 = random_policy(K, D, O, Q, moved=True), randn(2, D)
     J = sensitivity(policy, rollout(policy, x0, n_steps=12, dt=0.08))
-    assert J.shape == (2, 12, D, K * (O + Q) * (D + 1))
+    assert J.shape == (2, 12, O, K * (O + Q) * (D + 1))
     assert not J.requires_grad
     assert_close(J, by_autograd(policy, x0, 12, 0.08), rtol=1e-9, atol=1e-9)
     assert J.abs().max() > 0.1
@@ -70,7 +72,8 @@ def test_it_is_what_finite_differences_see(random_policy, randn):
     J = sensitivity(policy, rollout(policy, x0, n_steps=30, dt=0.05))
     theta = policy.pack().detach()
     nudges = h * torch.eye(len(theta), dtype=torch.float64)
-    both = [rollout(copy.deepcopy(policy).unpack(theta + s * nudges), x0, 30, 0.05).x[:, 1:] for s in (1, -1)]
+    paths = [rollout(copy.deepcopy(policy).unpack(theta + s * nudges), x0, 30, 0.05) for s in (1, -1)]
+    both = [torch.cat([path.x[:, 1:], 0.05 * path.v[..., 2:].cumsum(-2)], -1) for path in paths]
     slopes = ((both[0] - both[1]) / (2 * h)).detach()  # (P, T, D)
     # The error of central differences is h² times a third derivative, about 1e-10, and rounding, 1e-16 / h.
     assert_close(J, slopes.movedim(0, -1), rtol=1e-7, atol=1e-8)

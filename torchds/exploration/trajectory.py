@@ -56,7 +56,8 @@ class TrajectorySpace(Exploration):
         x0: `(*points, D)` the starts of the motion.
         n_steps: T.
         dt: time step [s].
-        spread: how far the motion may be moved, root mean square over time [position unit].
+        spread: how far the motion may be moved, root mean square over time [position unit]; one number, or `(O,)` where
+            velocities beyond the inputs have another unit, as an angle's rate has (Eq. 36).
         stiffness_spread: how far the stiffness along the motion may be moved, root mean square [N/m]; for a policy with
             stiffness rows, whose outputs then count in JᵀJ beside the positions, each divided by its spread.
         mean_speed: of the homogeneous noise behind D [velocity unit].
@@ -79,7 +80,7 @@ class TrajectorySpace(Exploration):
         x0: Tensor,
         n_steps: int,
         dt: float,
-        spread: float,
+        spread: float | Tensor | Sequence[float],
         *,
         stiffness_spread: float | None = None,
         mean_speed: float = 0.1,
@@ -89,16 +90,21 @@ class TrajectorySpace(Exploration):
         refresh: int = 1,
         goal: Tensor | None = None,
     ) -> None:
-        for name, value in {"spread": spread, "widening": widening, "mean_speed": mean_speed}.items():
+        for name, value in {"widening": widening, "mean_speed": mean_speed}.items():
             if not (math.isfinite(value) and value > 0):
                 raise InvalidArgumentError(f"{name} has to be finite and positive, got {value}")
+        each = torch.as_tensor(spread, dtype=torch.float64)
+        if each.shape not in ((), (policy.output_dim,)) or not (each.isfinite() & (each > 0)).all():
+            raise InvalidArgumentError(
+                f"spread has to be finite and positive, one number or ({policy.output_dim},), got {spread}"
+            )
         if not damping >= 0 or refresh < 1:
             raise InvalidArgumentError(f"damping ≥ 0 and refresh ≥ 1 are needed, got {damping} and {refresh}")
         if goal is not None and goal.shape != (policy.input_dim,):
             raise InvalidArgumentError(f"goal has to be ({policy.input_dim},), got {tuple(goal.shape)}")
         self.policy, self.goal = policy, goal
         self.x0, self.n_steps, self.dt = x0, n_steps, dt
-        self.spread, self.widening, self.damping = spread, widening, damping
+        self.spread, self.widening, self.damping = each, widening, damping
         self.refresh = refresh
         if policy.stiffness_dim and not ((stiffness_spread or 0) > 0 and mean_stiffness > 0):
             raise InvalidArgumentError(
@@ -109,6 +115,7 @@ class TrajectorySpace(Exploration):
         self._homogeneous = Homogeneous(policy, mean_speed, mean_stiffness=mean_stiffness)
         self._age = 0
         self._factor: Tensor | None = None
+        self._felt: Tensor | None = None
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse a part of the policy's parameters, and those of others."""
@@ -143,14 +150,15 @@ class TrajectorySpace(Exploration):
     def _evaluate(self) -> Tensor:
         policy, n_batch = self.policy, len(self.policy.batch_shape)
         path = rollout(policy, self.x0, self.n_steps, self.dt)
-        J = sensitivity(policy, path)  # (*batch, *points, T, D, P)
+        J = sensitivity(policy, path)  # (*batch, *points, T, O, P)
         n = J[..., 0, 0].flatten(n_batch).shape[-1]  # times and points
-        rows = [J.flatten(n_batch, -2) / self.spread]
+        rows = [(J / self.spread.to(J)[..., None]).flatten(n_batch, -2)]
         if policy.stiffness_dim:
             rows.append(stiffness_sensitivity(policy, path, J).flatten(n_batch, -2) / self.stiffness_spread)
+        felt = torch.cat(rows, -2)
+        self._felt = felt.mT @ felt / n  # JᵀJ/(T spread²)
         chart = self._chart()
-        felt = torch.cat(rows, -2) @ chart
-        metric = felt.mT @ felt / n
+        metric = chart.mT @ self._felt @ chart
         good = metric.isfinite().all(-1).all(-1, keepdim=True)  # (*batch, 1)
         values, vectors = torch.linalg.eigh(torch.where(good.unsqueeze(-1), metric, 0.0))
         values = values.clamp_min(0.0)
@@ -180,16 +188,32 @@ class TrajectorySpace(Exploration):
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """L z, cut into the parameters."""
-        drawn = {id(p): z for p, z in zip(parameters, normals, strict=True)}
-        z = self.policy.pack(lambda p: drawn[id(p)])
-        noise = self.policy.split((self.factor @ z.unsqueeze(-1)).squeeze(-1))
+        noise = self._through(self.factor, parameters, normals)
         self._age += 1
-        return [noise[name] for name in name_parameters(self.policy, parameters, type(self).__name__)]
+        return noise
+
+    @torch.no_grad()
+    def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
+        """(JᵀJ/(T spread²))^{1/2} δθ: the length of it is how far the motion moves to first order, in units of `spread`."""
+        if self._felt is None:
+            self.refresh_now()
+        good = self._felt.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
+        identity = torch.eye(self._felt.shape[-1], dtype=self._felt.dtype, device=self._felt.device)
+        values, vectors = torch.linalg.eigh(torch.where(good, self._felt, identity))
+        root = (vectors * values.clamp_min(0.0).sqrt().unsqueeze(-2)) @ vectors.mT
+        return self._through(root, parameters, changes)
+
+    def _through(self, matrix: Tensor, parameters: Sequence[nn.Parameter], parts: Sequence[Tensor]) -> list[Tensor]:
+        """`matrix` `(*batch, P, P)` times what `parts` are, cut into parameters again."""
+        given = {id(p): part for p, part in zip(parameters, parts, strict=True)}
+        stacked = self.policy.pack(lambda p: given[id(p)])
+        cut = self.policy.split((matrix @ stacked.unsqueeze(-1)).squeeze(-1))
+        return [cut[name] for name in name_parameters(self.policy, parameters, type(self).__name__)]
 
     def state_dict(self) -> dict[str, Any]:
-        """The covariance in use and its age."""
-        return {"age": self._age, "factor": self._factor}
+        """The covariance in use, what it was made of, and its age."""
+        return {"age": self._age, "factor": self._factor, "felt": self._felt}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue with a stored covariance."""
-        self._age, self._factor = int(state["age"]), state["factor"]
+        self._age, self._factor, self._felt = int(state["age"]), state["factor"], state["felt"]

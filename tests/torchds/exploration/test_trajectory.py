@@ -16,6 +16,7 @@ from torchds import GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Homogeneous, TrajectorySpace, trajectory
 from torchds.optim import PIBB, ExponentialDecay
+from torchds.sensitivity import sensitivity
 
 MEANS = np.array([[-0.9, 0.6], [0.5, -0.4]])
 COVARIANCES = np.array([[[0.4, 0.1], [0.1, 0.2]], [[0.3, -0.1], [-0.1, 0.5]]])
@@ -262,14 +263,13 @@ def test_stiffness_along_the_motion_counts_beside_the_positions_each_by_its_spre
     assert all(value.all() for value in parts.values())
 
 
-def test_more_outputs_than_inputs_are_explored_where_they_move_the_motion(random_policy, randn):
-    policy = random_policy(O=3)
-    noise = policy.split(draw(TrajectorySpace(policy, randn(2), T, DT, 0.5), 3))
-    assert noise["A"][..., :2, :].abs().max() > 1e-2
-    assert noise["b"][..., :2].abs().max() > 1e-2
-    # The third velocity moves no input. A zero eigenvalue is one of 1e-16 λ_max, hence a variance below 1e-11.
-    assert noise["A"][..., 2, :].abs().max() < 1e-5
-    assert noise["b"][..., 2].abs().max() < 1e-5
+def test_each_output_has_its_own_spread(random_policy, randn):
+    policy, x0, spread = random_policy(O=3), randn(2), torch.tensor([0.4, 0.2, 0.03], dtype=torch.float64)
+    along = TrajectorySpace(policy, x0, T, DT, spread, widening=3.0, damping=0.0)
+    J = sensitivity(policy, rollout(policy, x0, T, DT)) / spread[:, None]  # (T, O, P)
+    D = 9.0 * policy.join(Homogeneous(policy, 0.1).std()).square()
+    metric = torch.einsum("top,toq->pq", J, J) / T
+    assert_close(along.covariance, torch.linalg.inv(metric + torch.diag(1 / D)), rtol=1e-8, atol=1e-12)
 
 
 def test_float32_gives_the_same_in_float32():
@@ -416,8 +416,8 @@ def test_the_scale_of_the_normals_scales_the_noise():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"spread": 0.0}, "spread has to be finite and positive, got 0.0"),
-        ({"spread": float("inf")}, "spread has to be finite and positive, got inf"),
+        ({"spread": 0.0}, "spread has to be finite and positive, one number or (2,), got 0.0"),
+        ({"spread": float("inf")}, "spread has to be finite and positive, one number or (2,), got inf"),
         ({"widening": -1.0}, "widening has to be finite and positive, got -1.0"),
         ({"mean_speed": float("nan")}, "mean_speed has to be finite and positive, got nan"),
         ({"damping": -1e-3}, "damping ≥ 0 and refresh ≥ 1 are needed, got -0.001 and 1"),
