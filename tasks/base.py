@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -158,6 +159,14 @@ class Task(ABC):
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """What else is worth a look in a trial, `(*batch, ...)` by TensorBoard tag."""
         return {}
+
+    def film(self, path: Rollout, frames: int) -> np.ndarray | None:
+        """Pictures `(frames, height, width, 3)` in bytes of the first trial in `path`, its end last; None where none are made.
+
+        Raises:
+            TorchdsError: this machine cannot make them.
+        """
+        return None
 
     def state_dict(self) -> dict[str, Any]:
         """What changes from trial to trial; plain values and tensors only."""

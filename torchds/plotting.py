@@ -102,7 +102,8 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
     Args:
         axes: to draw into.
         rollouts: `[U+1]` roll-outs spent.
-        curves: name -> `[U+1][runs]` costs; the one called `total` is drawn in front, in black.
+        curves: name -> `[U+1][runs]` costs; the one called `total` is drawn in front, in black. The scale is
+            logarithmic unless a cost is negative.
         total: the name of the sum.
     """
     colors = iter(TERMS)
@@ -113,7 +114,8 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
         label = name.replace("_", "-")
         axes.plot(rollouts, median, color=color, lw=2.4 if is_total else 1.5, zorder=5 if is_total else 3, label=label)
         axes.fill_between(rollouts, q1, q3, color=color, alpha=0.16, lw=0)
-    axes.set_yscale("log")
+    positive = all(np.nanmin(np.asarray(values, dtype=float)) >= 0 for values in curves.values())
+    axes.set_yscale("log" if positive else "linear")
     axes.set_xlabel("roll-outs")
     axes.set_ylabel("cost of the policy without noise")
     axes.grid(alpha=0.3)

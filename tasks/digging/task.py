@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -172,7 +173,7 @@ class LwrDigging(Task):
             The recording, `*batch` in front of each field.
         """
         batch = stiffness.shape[:-1]
-        reference, stiffness = reference.reshape(-1, *reference.shape[-2:]), stiffness.flatten(0, -2)
+        reference, stiffness = reference.reshape(-1, *reference.shape[-2:]), stiffness.reshape(-1, stiffness.shape[-1])
         possible = lwr.reaches(*reference.unbind(-1)).all(-1) & stiffness.isfinite().all(-1)
         stay = torch.where(possible[:, None, None], reference, self.start)
         soft = torch.where(possible[:, None], stiffness, LOW)
@@ -231,6 +232,20 @@ class LwrDigging(Task):
             "stiffness/max": done.stiffness.amax(-1),
             "motion/lowest": done.pose[..., 1].amin(-1),
         }
+
+    def film(self, path: Rollout, frames: int) -> np.ndarray:
+        """Arm, shovel and gravel.
+
+        Raises:
+            NoRendererError: there is no OpenGL here.
+        """
+        from tasks.digging.rendering import render  # looks for OpenGL, so only where pictures are wanted
+
+        done: Recording = path.plant
+        snapshots = done.snapshots.reshape(-1, *done.snapshots.shape[-2:])[0]
+        last = len(snapshots) - 1
+        chosen = torch.linspace(0, last, frames).round().long() if frames > 1 else torch.tensor([last])
+        return render(self.gravel, snapshots[chosen])
 
     def scene(self) -> Scene:
         """Start and goal in the plane, and the walls of the box."""
