@@ -18,7 +18,8 @@ from train.records import History
 
 def of_run(learner: Learner) -> dict[str, Figure]:
     """All figures of a finished run, by name."""
-    return {"motion": motion(learner), "learning_curves": curves(learner.history)}
+    drawn = trial(learner) if learner.task.name == "lwr_digging" else motion(learner)
+    return {"motion": drawn, "learning_curves": curves(learner.history)}
 
 
 def motion(learner: Learner) -> Figure:
@@ -27,6 +28,43 @@ def motion(learner: Learner) -> Figure:
     before, after = figure.subplots(1, 2)
     draw_imitated(before, learner.task, learner.initial)
     draw_learned(after, learner)
+    return figure
+
+
+@torch.no_grad()
+def trial(learner: Learner) -> Figure:
+    """A digging trial of the learned policy: path, force and stiffness; the last one of the run."""
+    if learner.path is None:
+        learner.evaluate()
+    path, task = learner.path, learner.task
+    assert path is not None
+    figure = Figure(figsize=(13, 8), layout="constrained")
+    plane, force, stiffness = figure.subplot_mosaic([["plane", "force"], ["plane", "stiffness"]]).values()
+    x, reference = (track.reshape(-1, *track.shape[-2:])[0] for track in (path.x, path.reference))
+    if (walls := task.scene().walls) is not None:
+        plotting.walls(plane, walls)
+    for demonstration in task.source or ():
+        plotting.trajectories(
+            plane, demonstration.x, color=plotting.DEMONSTRATION, label="_nolegend_", lw=0.8, alpha=0.7
+        )
+    plotting.trajectories(plane, reference, color=plotting.BEFORE, label="reference", lw=1.6)
+    plotting.trajectories(plane, x, color=plotting.AFTER, label="tool")
+    for i in torch.linspace(0, len(x) - 1, 13).long().tolist():  # the blade
+        along = 0.06 * torch.stack([x[i, 2].cos(), x[i, 2].sin()])
+        ends = torch.stack([x[i, :2] - along, x[i, :2] + along])
+        plane.plot(*ends.T, color="#4a4f57", lw=2.5, alpha=0.8, label="blade" if i == 0 else "_nolegend_")
+    plotting.markers(plane, task.scene().starts, task.scene().goal, {})
+    plotting.finish_map(plane, "One trial of the learned policy", "m")
+    time = path.dt * torch.arange(1, len(x))
+    magnitude = path.plant.force.reshape(-1, *path.plant.force.shape[-2:])[0].norm(dim=-1)
+    force.plot(time, magnitude, color=plotting.TERMS[0], lw=1.0)
+    force.set(
+        xlabel="time [s]", ylabel="force on the shovel [N]", title="Force, without the weight of the empty shovel"
+    )
+    stiffness.plot(time, path.plant.stiffness.reshape(-1, len(time))[0], color=plotting.TERMS[1])
+    stiffness.set(xlabel="time [s]", ylabel="stiffness [N/m]", title="Applied stiffness", ylim=(0, None))
+    for axes in (force, stiffness):
+        axes.grid(alpha=0.3)
     return figure
 
 

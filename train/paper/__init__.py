@@ -9,8 +9,15 @@ from pathlib import Path
 from tqdm import tqdm
 
 from torchds.errors import InvalidArgumentError
-from train.paper import impedance, learning, shaping, stable
+from train.digging import Experiment
+from train.paper import digging, impedance, learning, shaping, stable
 from train.paper.base import Made
+
+DIGGING: dict[int, Callable[[Experiment], Made]] = {
+    15: digging.figure_15,
+    16: digging.figure_16,
+    17: digging.figure_17,
+}
 
 FIGURES: dict[int, Callable[[int, int], Made]] = {
     1: learning.figure_1,
@@ -35,7 +42,8 @@ class Figures:
     """Make figures of the paper again, with a caption file of measured statistics beside each."""
 
     figure: tuple[int, ...] = tuple(FIGURES)
-    """Numbers of the figures to make, as in the paper."""
+    """Numbers of the figures to make, as in the paper; 15, 16 and 17 run the digging experiment, which takes half an hour
+    and stands in LOGDIR/lwr_digging/experiment-SEED/."""
     runs: int = 20
     """Learning runs behind a statistic."""
     seed: int = 0
@@ -49,16 +57,21 @@ class Figures:
         Raises:
             InvalidArgumentError: a number that is not among the figures.
         """
-        if strangers := sorted(set(self.figure) - set(FIGURES)):
+        known = (*FIGURES, *DIGGING)
+        if strangers := sorted(set(self.figure) - set(known)):
             raise InvalidArgumentError(
-                f"no figure {', '.join(map(str, strangers))}; there are {', '.join(map(str, FIGURES))}"
+                f"no figure {', '.join(map(str, strangers))}; there are {', '.join(map(str, known))}"
             )
         folder = self.logdir / "figures"
         folder.mkdir(parents=True, exist_ok=True)
         print(f"figures in {folder}")
         for number in tqdm(self.figure, desc="figures", unit="figure", dynamic_ncols=True):
-            made = FIGURES[number](self.runs, self.seed)
+            made = self.digging(number) if number in DIGGING else FIGURES[number](self.runs, self.seed)
             made.figure.savefig(folder / f"figure-{number}.png", dpi=130)
             command = f"python -m train figures --figure {number} --runs {self.runs} --seed {self.seed}"
             text = f"# Figure {number}\n\n{made.caption.strip()}\n\nMade by `{command}`.\n"
             (folder / f"figure-{number}.md").write_text(text)
+
+    def digging(self, number: int) -> Made:
+        """A figure of the digging experiment, which is run as far as it is not there."""
+        return DIGGING[number](Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed))

@@ -12,6 +12,7 @@ from torch import Tensor
 import tasks
 from torchds import GMRPolicy, costs, plotting
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable
+from torchds.optim import PolicySearch
 from torchds.policy import chi_mean
 from train.figures import draw_curves, draw_imitated, draw_learned
 from train.learning import Learner
@@ -114,6 +115,7 @@ def learn(task: tasks.Task, name: str, runs: int, seed: int) -> Variant:
     learner = Learner(ConstrainedReachingOptions(runs=len(levels) * runs, seed=seed, **options), task)
     if name != ALONG:
         std = torch.tensor(levels, dtype=torch.float64).repeat_interleave(runs)
+        assert isinstance(learner.optim, PolicySearch)
         learner.optim.explorations[0] = explore(task, learner.policy, name, std)
     collisions = []
 
