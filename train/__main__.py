@@ -16,6 +16,7 @@ from train.benchmark_lasa import BenchmarkLasa
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper import Figures
 from train.run import Interrupted, run
+from train.view import View
 
 
 def main() -> int:
@@ -23,6 +24,7 @@ def main() -> int:
     commands: dict[str, Callable[..., Any]] = {
         **TASK_OPTIONS,
         "figures": Figures,
+        "view": View,
         "benchmark": benchmark.Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }

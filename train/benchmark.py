@@ -5,9 +5,11 @@ from __future__ import annotations
 import statistics
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from tqdm import tqdm
 
+import tasks
 from torchds.exploration import TrajectorySpace
 from train.learning import Learner
 from train.options import ViaPointOptions
@@ -22,6 +24,8 @@ class Benchmark:
     """How often each is timed; the median is printed."""
     updates: int = 50
     """Policy updates."""
+    digging: float = 15.0
+    """Seconds of eight digging roll-outs, to see where their time goes; 0 for none."""
 
     def main(self) -> None:
         """Time 20 runs and one run, and print both with machine and versions."""
@@ -36,6 +40,21 @@ class Benchmark:
                 f"{runs:3d} runs: TrajectorySpace refreshes in {1e3 * refresh:.1f} ms; the ten roll-outs it serves, with cost "
                 f"and update, take {1e3 * rollouts:.1f} ms (medians)"
             )
+
+        if self.digging:
+            control, physics = self.split()
+            print(
+                f"8 digging roll-outs of {self.digging:g} s: {control + physics:.1f} s on 2 threads; controller "
+                f"{control:.1f} s ({100 * control / (control + physics):.0f} %), MuJoCo {physics:.1f} s"
+            )
+
+    def split(self) -> tuple[float, float]:
+        """Seconds that policy, kinematics, impedance law and bookkeeping take in a batch of digging roll-outs, and physics."""
+        task: Any = tasks.make("lwr_digging", seconds=self.digging)
+        policies, scenes = task.policy().expand(8), task.scenes(8)
+        began = time.perf_counter()
+        task.cost(task.rollout(policies))
+        return time.perf_counter() - began - scenes.seconds["physics"], scenes.seconds["physics"]
 
     def refresh(self, runs: int) -> tuple[float, float]:
         """Median seconds of one evaluation of the covariance, and of one update with homogeneous noise."""

@@ -1,9 +1,19 @@
 """The digging task of section 6: a KUKA LWR 4+ shovels gravel in MuJoCo, under Cartesian impedance control."""
 
+import ctypes.util
 import importlib.util
+import os
+import sys
 
 from torchds.errors import MissingPackageError
 
 for _package, _module in (("mujoco", "mujoco"), ("pytorch-kinematics", "pytorch_kinematics")):
     if importlib.util.find_spec(_module) is None:
         raise MissingPackageError(_package, "digging", "the digging task")
+
+if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    # Pictures without a screen, by what there is; MuJoCo reads this when it is imported.
+    for _library, _platform in (("EGL", "egl"), ("OSMesa", "osmesa")):
+        if ctypes.util.find_library(_library):
+            os.environ.setdefault("MUJOCO_GL", _platform)
+            break

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("MUJOCO_GL", "egl")  # no screen is needed; MuJoCo reads this when it is imported
-
 import mujoco
 import numpy as np
 from torch import Tensor

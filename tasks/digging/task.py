@@ -20,8 +20,10 @@ from tasks.digging.simulation import WEIGHING, Recording, dig
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout
 from torchds.errors import InvalidArgumentError
 
+BEDS = {"fine": Gravel(), "coarse": COARSE}
 N_COMPONENTS = 4
 LOW, HIGH = 50.0, 700.0  # N/m, bounds of the applied stiffness, those of the authors' robot
+SECONDS = 15.0
 TARE = 3.5  # N, the constant in the gravel's term
 GOAL_WEIGHT, FORCE_WEIGHT, STIFFNESS_WEIGHT, ACCELERATION_WEIGHT = 10.0, 1e-6, 5e-7, 1e-4
 COST_STEP = 0.002  # s
@@ -56,11 +58,11 @@ class LwrDigging(Task):
     Args:
         initial_stiffness: s⁰ [N/m], uniform.
         grains: "fine" for 330 grains of 4.5 to 7.5 mm, "coarse" for 100 of 9 to 14 mm, for tests.
-        seconds: of the motion. Demonstrations are stretched to it.
+        seconds: of the motion; the task's own demonstrations are stretched with it.
         threads: that share the roll-outs; the results are the same for any number.
         seed: of the beds.
-        demonstrations: in place of five in soil: positions x, z [m] and angle [rad], for example .csv files with the columns
-            time, x, z, angle.
+        demonstrations: in place of five in soil: positions x, z [m] and angle [rad], for example a folder of .csv files with
+            the columns time, x, z, angle (`load_csv`).
         mixture: see `Task`; over x, z, their velocities and the angle's.
         convention: "paper" alone.
 
@@ -77,7 +79,7 @@ class LwrDigging(Task):
         initial_stiffness: float = 150.0,
         *,
         grains: Literal["fine", "coarse"] = "fine",
-        seconds: float = 15.0,
+        seconds: float = SECONDS,
         threads: int = 2,
         seed: int = 0,
         demonstrations: Demonstrations | str | Path | None = None,
@@ -89,14 +91,14 @@ class LwrDigging(Task):
             raise InvalidArgumentError(
                 f"initial_stiffness has to be within [{LOW:g}, {HIGH:g}] N/m, got {initial_stiffness}"
             )
-        if grains not in ("fine", "coarse"):
-            raise InvalidArgumentError(f"grains has to be 'fine' or 'coarse', got {grains!r}")
+        if grains not in BEDS:
+            raise InvalidArgumentError(f"grains has to be {' or '.join(map(repr, BEDS))}, got {grains!r}")
         if not seconds > WEIGHING or threads < 1 or seed < 0:
             raise InvalidArgumentError(
                 f"seconds > {WEIGHING}, threads ≥ 1 and seed ≥ 0 are needed, got {seconds}, {threads} and {seed}"
             )
         self.initial_stiffness, self.seconds, self.threads, self.seed = initial_stiffness, seconds, threads, seed
-        self.gravel = Gravel() if grains == "fine" else COARSE
+        self.gravel = BEDS[grains]
         self.dt = self.gravel.time_step
         self.trials = 0
         self.progress: Callable[[float], object] | None = None
@@ -124,8 +126,10 @@ class LwrDigging(Task):
     # ------------------------------------------------------------------ policy
 
     def default_demonstrations(self) -> Demonstrations:
-        """Five motions in soil (see `tasks.digging.demonstrate`)."""
-        return load_csv(FOLDER, names=("x", "z", "angle"), units=("m", "m", "rad"))
+        """Five motions in soil of 12.5 to 14.5 s (see `tasks.digging.demonstrate`), faster for a shorter task."""
+        soil = load_csv(FOLDER, names=("x", "z", "angle"), units=("m", "m", "rad"))
+        faster = [dt * self.seconds / SECONDS for dt in soil.dt]
+        return Demonstrations([d.x for d in soil], dt=faster, names=soil.names, units=soil.units)
 
     def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
         """Four Gaussians over position, velocity and angular rate."""
@@ -178,14 +182,18 @@ class LwrDigging(Task):
         stay = torch.where(possible[:, None, None], reference, self.start)
         soft = torch.where(possible[:, None], stiffness, LOW)
         n = len(stay)
-        if n not in self._scenes:
-            self._scenes[n] = Scenes(self.gravel, n, min(self.threads, n))
         # Beds of one seed do not meet those of another for the first million trials.
         seeds = [self.seed * 1_000_000 + self.trials + i for i in range(n)]
         self.trials += n
-        done = dig(self._scenes[n], stay, soft, seeds, self.progress)
+        done = dig(self.scenes(n), stay, soft, seeds, self.progress)
         done = done._replace(failed=done.failed | ~possible)
         return Recording(*(value.reshape(*batch, *value.shape[1:]) for value in done))
+
+    def scenes(self, n: int) -> Scenes:
+        """The scenes of `n` roll-outs at once, made when they are first needed."""
+        if n not in self._scenes:
+            self._scenes[n] = Scenes(self.gravel, n, min(self.threads, n))
+        return self._scenes[n]
 
     # ------------------------------------------------------------------ what it costs
 
