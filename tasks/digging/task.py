@@ -107,9 +107,9 @@ class LwrDigging(Task):
             n_rollouts=8,
             control_weight=1e-12,
             mean_speed=0.005,
-            mean_stiffness=50.0,
-            spread=(0.01, 0.01, 0.1),
-            stiffness_spread=50.0,
+            mean_stiffness=60.0,
+            spread=(0.015, 0.015, 0.15),
+            stiffness_spread=100.0,
             damping=1e-2,
             elite="nominal",
         )
@@ -187,7 +187,7 @@ class LwrDigging(Task):
         self.trials += n
         done = dig(self.scenes(n), stay, soft, seeds, self.progress)
         done = done._replace(failed=done.failed | ~possible)
-        return Recording(*(value.reshape(*batch, *value.shape[1:]) for value in done))
+        return Recording(*(value.reshape(batch + value.shape[1:]) for value in done))
 
     def scenes(self, n: int) -> Scenes:
         """The scenes of `n` roll-outs at once, made when they are first needed."""
