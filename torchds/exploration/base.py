@@ -31,6 +31,20 @@ class Exploration(ABC):
             One `(N, *parameter.shape)` for each.
         """
 
+    def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
+        """Changes of parameters in coordinates whose Euclidean distance says how different two roll-outs are.
+
+        Only ratios of distances matter. Here the changes as they are; an exploration that knows better says so.
+
+        Args:
+            parameters: of one optimizer group, at their unperturbed values.
+            changes: `(n, *parameter.shape)` for each.
+
+        Returns:
+            One `(n, *parameter.shape)` for each, linear in the changes.
+        """
+        return list(changes)
+
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse parameters that this exploration cannot perturb, before any learning starts.
 

@@ -125,3 +125,11 @@ class Homogeneous(Exploration):
         std = self.std()
         names = name_parameters(self.policy, parameters, type(self).__name__)
         return [z * std[name] for name, z in zip(names, normals, strict=True)]
+
+    def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
+        """The changes in units of the standard deviations; zero where these are zero."""
+        std = self.std()
+        names = name_parameters(self.policy, parameters, type(self).__name__)
+        return [
+            torch.where(std[name] > 0, change / std[name], 0.0) for name, change in zip(names, changes, strict=True)
+        ]

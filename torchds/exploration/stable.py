@@ -131,6 +131,10 @@ class Stable(Exploration):
         noise["b"] = self._tied(noise["A"]) + (self._tied(A) - b)
         return [noise[name] if name in noise else torch.zeros_like(drawn[name]) for name in names]
 
+    def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
+        """That of the exploration behind the raw noise."""
+        return self.std.measure(parameters, changes) if isinstance(self.std, Exploration) else list(changes)
+
     @torch.no_grad()
     def stabilise(self, raw: Tensor) -> Tensor:
         """The part of the noise `raw` `(..., *batch, K, D, D)` of A that keeps the policy stable (Eq. 22)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -197,9 +197,10 @@ class TrajectorySpace(Exploration):
         """(JᵀJ/(T spread²))^{1/2} δθ: the length of it is how far the motion moves to first order, in units of `spread`."""
         if self._felt is None:
             self.refresh_now()
-        good = self._felt.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
-        identity = torch.eye(self._felt.shape[-1], dtype=self._felt.dtype, device=self._felt.device)
-        values, vectors = torch.linalg.eigh(torch.where(good, self._felt, identity))
+        felt = cast(Tensor, self._felt)
+        good = felt.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
+        identity = torch.eye(felt.shape[-1], dtype=felt.dtype, device=felt.device)
+        values, vectors = torch.linalg.eigh(torch.where(good, felt, identity))
         root = (vectors * values.clamp_min(0.0).sqrt().unsqueeze(-2)) @ vectors.mT
         return self._through(root, parameters, changes)
 
@@ -216,4 +217,4 @@ class TrajectorySpace(Exploration):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue with a stored covariance."""
-        self._age, self._factor, self._felt = int(state["age"]), state["factor"], state["felt"]
+        self._age, self._factor, self._felt = int(state["age"]), state["factor"], state.get("felt")

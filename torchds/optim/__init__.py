@@ -8,5 +8,16 @@ from torchds.optim.pibb import PIBB as PIBB
 from torchds.optim.schedules import ExponentialDecay as ExponentialDecay
 from torchds.optim.schedules import InverseIteration as InverseIteration
 from torchds.optim.schedules import LinearDecay as LinearDecay
+from torchds.optim.surrogate import SurrogatePIBB as SurrogatePIBB
 
-__all__ = ["PI2", "PIBB", "ExponentialDecay", "InverseIteration", "LinearDecay", "PolicySearch", "Update", "functional"]
+__all__ = [
+    "PI2",
+    "PIBB",
+    "ExponentialDecay",
+    "InverseIteration",
+    "LinearDecay",
+    "PolicySearch",
+    "SurrogatePIBB",
+    "Update",
+    "functional",
+]

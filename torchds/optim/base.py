@@ -295,26 +295,42 @@ class PolicySearch(torch.optim.Optimizer):
                 self.state[p].pop("noise", None)
 
     def _draw(self, normals: Sequence[Sequence[Tensor]] | None) -> None:
-        drawn = []
-        for i, (group, exploration) in enumerate(zip(self.param_groups, self.explorations, strict=True)):
-            shapes = [(self.n_rollouts, *p.shape) for p in group["params"]]
-            if normals is None:
-                # Drawn on the CPU and moved: the same noise on every device.
-                unit = [
-                    torch.randn(shape, generator=self.generator, dtype=p.dtype).to(p.device)
-                    for shape, p in zip(shapes, group["params"], strict=True)
-                ]
-            else:
-                unit = list(normals[i]) if i < len(normals) else []
-                if [tuple(z.shape) for z in unit] != shapes:
-                    raise InvalidArgumentError(
-                        f"group {i} needs normals of shapes {shapes}, got {[tuple(z.shape) for z in unit]}"
-                    )
-            noise = exploration(group["params"], [group["lr"] * z for z in unit])
-            drawn += list(zip(group["params"], noise, strict=True))
-        for p, epsilon in drawn:
+        noise = self._propose(normals)
+        for p, epsilon in (
+            (p, e) for g, es in zip(self.param_groups, noise, strict=True) for p, e in zip(g["params"], es, strict=True)
+        ):
             if self.elite == "nominal":
                 epsilon[0] = 0.0
             elif "best" in self.state[p]:
                 epsilon[0] = self.state[p]["best"] - p
             self.state[p]["noise"] = epsilon
+
+    def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
+        """The noise `(N, *shape)` that the next update tries, per group and parameter.
+
+        Args:
+            normals: unit normals to use in place of drawn ones, per group and parameter `(N, *shape)`.
+        """
+        if normals is None:
+            normals = self._normals(self.n_rollouts)
+        noise = []
+        for i, group in enumerate(self.param_groups):
+            shapes = [(self.n_rollouts, *p.shape) for p in group["params"]]
+            unit = list(normals[i]) if i < len(normals) else []
+            if [tuple(z.shape) for z in unit] != shapes:
+                raise InvalidArgumentError(
+                    f"group {i} needs normals of shapes {shapes}, got {[tuple(z.shape) for z in unit]}"
+                )
+            noise.append(self._shape(group, self.explorations[i], unit))
+        return noise
+
+    def _normals(self, n: int) -> list[list[Tensor]]:
+        """Unit normals `(n, *shape)` per group and parameter, drawn on the CPU and moved: the same on every device."""
+        return [
+            [torch.randn((n, *p.shape), generator=self.generator, dtype=p.dtype).to(p.device) for p in group["params"]]
+            for group in self.param_groups
+        ]
+
+    def _shape(self, group: dict[str, Any], exploration: Exploration, normals: list[Tensor]) -> list[Tensor]:
+        """The noise `(n, *shape)` of a group's parameters that `normals` of the same shapes become."""
+        return exploration(group["params"], [group["lr"] * z for z in normals])

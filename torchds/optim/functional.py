@@ -31,6 +31,16 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
     Raises:
         InvalidArgumentError: an unknown temperature.
     """
+    exponent = -eliteness * relative_costs(costs, temperature)
+    return torch.nan_to_num(torch.softmax(exponent, 0), nan=0.0)
+
+
+def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
+    """(S − min S)/spread `(N, ...)` of costs `(N, ...)`, infinite for failed roll-outs; see `cost_weights`.
+
+    Raises:
+        InvalidArgumentError: an unknown temperature.
+    """
     if temperature not in ("range", "median", "capped"):
         raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {temperature!r}")
     valid = costs.isfinite()
@@ -43,8 +53,36 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
     ratio = above / spread
     if temperature == "capped":
         ratio = ratio.clamp(max=1.0)
-    exponent = torch.where(above > 0, -eliteness * ratio, 0.0)
-    return torch.nan_to_num(torch.softmax(torch.where(valid, exponent, -torch.inf), 0), nan=0.0)
+    return torch.where(valid, torch.where(above > 0, ratio, 0.0), torch.inf)
+
+
+def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float = 1e-3) -> Tensor:
+    r"""What untried policies will cost, judged by similar ones: the mean of Gaussian process regression.
+
+    .. math:: \hat S(z) = k(z, Z) (k(Z, Z) + noise\, I)^{-1} S, \qquad k(z, z') = \exp(-|z - z'|^2 / (2 ℓ^2)),
+
+    with ℓ² the median squared distance between the policies tried, so that the unit of the coordinates does not matter.
+    S are the relative costs under the capped temperature, minus their mean; failed roll-outs are as bad as the cap.
+
+    Args:
+        tried: `(M, *batch, F)` coordinates Z in which equal distances mean equally different roll-outs.
+        costs: `(M, *batch)` of these, at least one of them finite.
+        candidates: `(n, *batch, F)` the coordinates of those not tried.
+        noise: relative variance of what the coordinates do not explain.
+
+    Returns:
+        `(n, *batch)` predictions, between about 0 (the best so far) and 1 less their mean.
+    """
+    known = relative_costs(costs, "capped").clamp(max=1.0)
+    known = (known - known.mean(0)).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
+    Z, z = tried.movedim(0, -2), candidates.movedim(0, -2)
+    squares = torch.cdist(Z, Z).square()  # (*batch, M, M)
+    scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(torch.finfo(Z.dtype).tiny)
+    kernel = torch.exp(-0.5 * squares / scale)
+    kernel.diagonal(dim1=-2, dim2=-1).add_(noise)
+    across = torch.exp(-0.5 * torch.cdist(z, Z).square() / scale)  # (*batch, n, M)
+    weights = torch.cholesky_solve(known, torch.linalg.cholesky(kernel))
+    return (across @ weights).squeeze(-1).movedim(-1, 0)
 
 
 def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:

@@ -1,0 +1,125 @@
+"""PI^BB that thinks before it tries: noise is preselected by what similar roll-outs cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchds.errors import InvalidArgumentError
+from torchds.exploration.base import Exploration
+from torchds.optim.evaluation import Control
+from torchds.optim.functional import Temperature, predict_costs
+from torchds.optim.pibb import PIBB
+
+
+class SurrogatePIBB(PIBB):
+    r"""`PIBB` that draws many candidates for each update and tries the N of them that look cheapest.
+
+    What a candidate will cost is predicted from the last roll-outs, by Gaussian process regression on the distance between
+    policies (`functional.predict_costs`). The distance is that of the exploration, `Exploration.measure`: with
+    `TrajectorySpace` it says how differently two policies move, so that the regression needs few roll-outs. The update is the
+    one of `PIBB`, from the costs that the N roll-outs really had. The first update has nothing to predict from and is plain.
+
+    Args:
+        params: see `PIBB`.
+        exploration: see `PIBB`.
+        n_rollouts: N, roll-outs per step.
+        lr: see `PIBB`.
+        n_candidates: how many the N are chosen from; N for no choice.
+        memory: how many of the last roll-outs are remembered, of each run.
+        eliteness: see `PIBB`.
+        temperature: see `PIBB`.
+        control_weight: see `PIBB`.
+        control_reference: see `PIBB`.
+        elite: see `PIBB`; the elite takes the place of one of the N.
+        batched: see `PIBB`.
+        generator: see `PIBB`.
+
+    Raises:
+        InvalidArgumentError: fewer candidates than roll-outs, no memory, and what `PIBB` refuses.
+        AllRolloutsFailedError: see `PIBB`.
+
+    Example:
+        >>> import torch, torchds
+        >>> theta = torch.nn.Parameter(torch.zeros(2))
+        >>> optim = torchds.optim.SurrogatePIBB([theta], torchds.exploration.Gaussian(0.3))
+        >>> for _ in range(10):
+        ...     cost = optim.step(lambda: (theta - 1.0).square().sum(-1))
+        >>> bool(cost < 0.5)
+        True
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        exploration: Exploration | None = None,
+        n_rollouts: int = 10,
+        lr: float = 1.0,
+        *,
+        n_candidates: int = 300,
+        memory: int = 80,
+        eliteness: float = 10.0,
+        temperature: Temperature = "capped",
+        control_weight: float = 0.0,
+        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
+        elite: Literal["none", "nominal", "best"] = "none",
+        batched: bool = True,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        if n_candidates < n_rollouts or memory < 1:
+            raise InvalidArgumentError(
+                f"n_candidates ≥ n_rollouts and memory ≥ 1 are needed, got {n_candidates} for {n_rollouts} and {memory}"
+            )
+        self.n_candidates, self.memory = n_candidates, memory
+        super().__init__(
+            params,
+            exploration,
+            n_rollouts,
+            lr,
+            eliteness=eliteness,
+            temperature=temperature,
+            control_weight=control_weight,
+            control_reference=control_reference,
+            elite=elite,
+            batched=batched,
+            generator=generator,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "n_candidates": self.n_candidates, "memory": self.memory}
+
+    def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
+        known = self.state[self.param_groups[0]["params"][0]]
+        if normals is not None or "tried_cost" not in known:
+            return super()._propose(normals)
+        costs = known["tried_cost"]  # (M, *batch)
+        drawn, coordinates = [], []
+        for group, exploration, unit in zip(
+            self.param_groups, self.explorations, self._normals(self.n_candidates), strict=True
+        ):
+            noise, params = self._shape(group, exploration, unit), group["params"]
+            drawn.append(noise)
+            both = [torch.cat([self.state[p]["tried"] - p, e]) for p, e in zip(params, noise, strict=True)]
+            coordinates += [part.flatten(costs.ndim) for part in exploration.measure(params, both)]
+        tried, untried = torch.cat(coordinates, -1).tensor_split([len(costs)])
+        best = predict_costs(tried, costs, untried).topk(self.n_rollouts, dim=0, largest=False).indices  # (N, *batch)
+        return [
+            [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
+            for noise in drawn
+        ]
+
+    def _update(
+        self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
+    ) -> Tensor:
+        for p, epsilon in zip(group["params"], noise, strict=True):
+            self._keep(p, "tried", p + epsilon)
+        self._keep(group["params"][0], "tried_cost", cost)
+        return super()._update(group, noise, cost, steps, control)
+
+    def _keep(self, p: Tensor, name: str, values: Tensor) -> None:
+        """Remember the last of all `values` `(N, ...)`."""
+        state = self.state[p]
+        state[name] = torch.cat([state.get(name, values[:0]), values])[-self.memory :]
