@@ -129,7 +129,7 @@ def load_csv(
     layout: _Columns | None = None
     records: list[Record] = []
     for path in files:
-        header, table = _read_table(path)
+        header, table = read_table(path)
         if layout is None:
             first, layout = header, _columns(path, header, time_column, names)
         if set(header) != set(first):
@@ -239,6 +239,48 @@ def load_mat(
     return _from_records(path, records, shared=contents.get("dt"), dt=dt, names=names, units=units)
 
 
+def read_table(path: str | Path) -> tuple[list[str], np.ndarray]:
+    """The header and the `(T, columns)` numbers of a comma-separated file.
+
+    Raises:
+        DemonstrationFileError: there is no such file, it is not a table of at least two rows of finite numbers under a header
+            of different names; the message gives the line.
+    """
+    path = _existing(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, line) for line in reader if any(cell.strip() for cell in line)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DemonstrationFileError(f"{path}: not a text file of comma-separated values ({error}).") from error
+    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    if not any(_number(cell) is None for cell in header):
+        raise DemonstrationFileError(f"{path}: no header. The first line must hold the names of the columns.")
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated or "" in header:
+        problem = f"the name {repeated[0]!r} twice" if repeated and repeated[0] else "a column without a name"
+        raise DemonstrationFileError(f"{path}: the header has {problem}. Give every column its own name.")
+    if len(lines) < 3:
+        raise DemonstrationFileError(
+            f"{path}: {max(len(lines) - 1, 0)} sample(s), at least two are needed. Leave it out."
+        )
+    rows = []
+    for number, line in lines[1:]:
+        if len(line) != len(header):
+            raise DemonstrationFileError(
+                f"{path}, line {number}: {len(line)} values under {len(header)} column names. Fill or remove the line."
+            )
+        values = [_number(cell) for cell in line]
+        for name, cell, value in zip(header, line, values, strict=True):
+            if value is None or not math.isfinite(value):
+                raise DemonstrationFileError(
+                    f"{path}, line {number}, column {name!r}: {cell.strip()!r} is not a finite number. "
+                    "Correct the line or remove it (values are separated by commas)."
+                )
+        rows.append(values)
+    return header, np.array(rows, dtype=float)
+
+
 # -- reading -----------------------------------------------------------------------------------------------------------
 
 
@@ -278,42 +320,6 @@ def _csv_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     if not files:
         raise DemonstrationFileError(f"{paths}: no .csv file in this folder.")
     return files
-
-
-def _read_table(path: Path) -> tuple[list[str], np.ndarray]:
-    """The header and the (T, columns) numbers of a .csv file."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, line) for line in reader if any(cell.strip() for cell in line)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DemonstrationFileError(f"{path}: not a text file of comma-separated values ({error}).") from error
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
-    if not any(_number(cell) is None for cell in header):
-        raise DemonstrationFileError(f"{path}: no header. The first line must hold the names of the columns.")
-    repeated = sorted({name for name in header if header.count(name) > 1})
-    if repeated or "" in header:
-        problem = f"the name {repeated[0]!r} twice" if repeated and repeated[0] else "a column without a name"
-        raise DemonstrationFileError(f"{path}: the header has {problem}. Give every column its own name.")
-    if len(lines) < 3:
-        raise DemonstrationFileError(
-            f"{path}: {max(len(lines) - 1, 0)} sample(s), at least two are needed. Leave it out."
-        )
-    rows = []
-    for number, line in lines[1:]:
-        if len(line) != len(header):
-            raise DemonstrationFileError(
-                f"{path}, line {number}: {len(line)} values under {len(header)} column names. Fill or remove the line."
-            )
-        values = [_number(cell) for cell in line]
-        for name, cell, value in zip(header, line, values, strict=True):
-            if value is None or not math.isfinite(value):
-                raise DemonstrationFileError(
-                    f"{path}, line {number}, column {name!r}: {cell.strip()!r} is not a finite number. "
-                    "Correct the line or remove it (values are separated by commas)."
-                )
-        rows.append(values)
-    return header, np.array(rows, dtype=float)
 
 
 def _number(cell: str) -> float | None:
