@@ -86,7 +86,7 @@ class TrajectorySpace(Exploration):
         mean_speed: float = 0.1,
         mean_stiffness: float = 0.0,
         widening: float = 3.0,
-        damping: float = 1e-4,
+        damping: float = 1e-2,
         refresh: int = 1,
         goal: Tensor | None = None,
     ) -> None:
@@ -116,6 +116,48 @@ class TrajectorySpace(Exploration):
         self._age = 0
         self._factor: Tensor | None = None
         self._felt: Tensor | None = None
+
+    @classmethod
+    @torch.no_grad()
+    def relative(
+        cls,
+        policy: GMRPolicy,
+        x0: Tensor,
+        n_steps: int,
+        dt: float,
+        spread: float = 0.05,
+        *,
+        speed: float = 0.12,
+        stiffness: float = 0.2,
+        goal: Tensor | None = None,
+    ) -> TrajectorySpace:
+        """The same in shares of the motion that `policy` makes now, so that one setting does for many tasks.
+
+        Args:
+            policy: whose parameters are explored.
+            x0: `(*points, D)` the starts of the motion.
+            n_steps: T.
+            dt: time step [s].
+            spread: share of the motion's extent, the root mean square distance from its own mean place. Outputs beyond
+                the positions have an extent of their own.
+            speed: `mean_speed` as a share of the mean speed.
+            stiffness: `mean_stiffness` and `stiffness_spread` as a share of the mean stiffness.
+            goal: see `TrajectorySpace`.
+
+        Raises:
+            InvalidArgumentError: see `TrajectorySpace`; also for a policy that does not move.
+        """
+        D = policy.input_dim
+        path = rollout(policy, x0, n_steps, dt)
+        variances = (
+            (dt * path.v).cumsum(-2).var(-2).reshape(-1, policy.output_dim).mean(0)
+        )  # (O,) of the places, not of the starts
+        extent = torch.cat([variances[:D].sum().expand(D), variances[D:]]).sqrt()
+        sizes: dict[str, Any] = {"mean_speed": speed * float(torch.linalg.vector_norm(path.v, dim=-1).mean())}
+        if policy.stiffness_dim:
+            typical = stiffness * float(policy.stiffness(path.inputs).abs().mean())
+            sizes |= {"mean_stiffness": typical, "stiffness_spread": typical}
+        return cls(policy, x0, n_steps, dt, spread * extent, **sizes, goal=goal)
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse a part of the policy's parameters, and those of others."""

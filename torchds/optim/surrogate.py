@@ -103,7 +103,7 @@ class SurrogatePIBB(PIBB):
             noise, params = self._shape(group, exploration, unit), group["params"]
             drawn.append(noise)
             both = [torch.cat([self.state[p]["tried"] - p, e]) for p, e in zip(params, noise, strict=True)]
-            coordinates += [part.flatten(costs.ndim) for part in exploration.measure(params, both)]
+            coordinates += [x.reshape(*x.shape[: costs.ndim], -1) for x in exploration.measure(params, both)]
         tried, untried = torch.cat(coordinates, -1).tensor_split([len(costs)])
         best = predict_costs(tried, costs, untried).topk(self.n_rollouts, dim=0, largest=False).indices  # (N, *batch)
         return [

@@ -1,0 +1,142 @@
+"""PI^BB that adapts the covariance of its noise: PI2-CMA."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchds.errors import InvalidArgumentError
+from torchds.exploration.base import Exploration
+from torchds.optim.evaluation import Control
+from torchds.optim.functional import Temperature
+from torchds.optim.pibb import PIBB
+
+
+class PI2CMA(PIBB):
+    r"""`PIBB` whose noise takes the shape of what was worth it (F. Stulp, O. Sigaud, ICML 2012), the paper's future work.
+
+    The weights that move the parameters also average the noise's outer products. They are those of the normals that the
+    exploration shapes, not of the parameters, so that any exploration gives the first covariance and the unit: with ε = L z
+    and z ~ N(0, Σ), Σ = I at first and of its own for every run,
+
+    .. math:: Σ ← (1 - c) Σ + c \sum_r P_r z_r z_r^T,
+
+    with eigenvalues that stay above a bound. The weights prefer small noise near an optimum, so Σ shrinks by itself and
+    needs no decay of `lr`; where costs fall steadily in one direction, it grows there.
+
+    Args:
+        params: see `PIBB`. The noise of a group has one covariance for all of its parameters.
+        exploration: see `PIBB`.
+        n_rollouts: see `PIBB`.
+        lr: see `PIBB`.
+        rate: c in [0, 1]; 1 forgets what was before, 0 is `PIBB`.
+        lower_bound: of the eigenvalues of Σ, in (0, 1].
+        eliteness: see `PIBB`.
+        temperature: see `PIBB`.
+        control_weight: see `PIBB`.
+        control_reference: see `PIBB`.
+        elite: see `PIBB`; not "best", which says nothing about the normals behind it.
+        batched: see `PIBB`.
+        generator: see `PIBB`.
+
+    Raises:
+        InvalidArgumentError: a rate, a bound or an elite that is not allowed, and what `PIBB` refuses.
+        AllRolloutsFailedError: see `PIBB`.
+
+    Example:
+        >>> import torch, torchds
+        >>> theta = torch.nn.Parameter(torch.zeros(2))
+        >>> optim = torchds.optim.PI2CMA([theta], exploration=torchds.exploration.Gaussian(0.3))
+        >>> for _ in range(50):
+        ...     cost = optim.step(lambda: (theta - 1.0).square().sum(-1))
+        >>> bool(cost < 0.01)
+        True
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        exploration: Exploration | None = None,
+        n_rollouts: int = 10,
+        lr: float = 1.0,
+        *,
+        rate: float = 0.3,
+        lower_bound: float = 1e-4,
+        eliteness: float = 10.0,
+        temperature: Temperature = "range",
+        control_weight: float = 0.0,
+        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
+        elite: Literal["none", "nominal"] = "none",
+        batched: bool = True,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        if elite not in ("none", "nominal"):
+            raise InvalidArgumentError(f"elite of PI2CMA is 'none' or 'nominal', got {elite!r}")
+        if not (0 <= rate <= 1 and 0 < lower_bound <= 1):
+            raise InvalidArgumentError(
+                f"rate has to be in [0, 1] and lower_bound in (0, 1], got {rate} and {lower_bound}"
+            )
+        self.rate, self.lower_bound = rate, lower_bound
+        super().__init__(
+            params,
+            exploration,
+            n_rollouts,
+            lr,
+            eliteness=eliteness,
+            temperature=temperature,
+            control_weight=control_weight,
+            control_reference=control_reference,
+            elite=elite,
+            batched=batched,
+            generator=generator,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "rate": self.rate, "lower_bound": self.lower_bound}
+
+    def _shape(self, group: dict[str, Any], exploration: Exploration, normals: list[Tensor]) -> list[Tensor]:
+        first = group["params"][0]
+        if "covariance" in self.state[first]:
+            root = torch.linalg.cholesky(self.state[first]["covariance"])
+            drawn = _stack(normals, root.ndim - 1)
+            normals = _cut((root @ drawn.unsqueeze(-1)).squeeze(-1), normals)
+        if self.elite == "nominal":
+            normals = [torch.cat([torch.zeros_like(z[:1]), z[1:]]) for z in normals]
+        for p, z in zip(group["params"], normals, strict=True):
+            self.state[p]["normals"] = z
+        return super()._shape(group, exploration, normals)
+
+    def _update(
+        self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
+    ) -> Tensor:
+        weights = super()._update(group, noise, cost, steps, control)
+        state = self.state[group["params"][0]]
+        z = _stack([self.state[p]["normals"] for p in group["params"]], cost.ndim)  # (N, *batch, P)
+        moment = torch.einsum("n...,n...i,n...j->...ij", weights, z, z)
+        before = state.get("covariance", torch.eye(z.shape[-1], dtype=z.dtype, device=z.device).expand_as(moment))
+        # A run all of whose roll-outs failed has no weights; its covariance stays.
+        learned = before + self.rate * weights.sum(0)[..., None, None] * (moment - before)
+        values, vectors = torch.linalg.eigh(learned)
+        state["covariance"] = (vectors * values.clamp_min(self.lower_bound).unsqueeze(-2)) @ vectors.mT
+        return weights
+
+    def _forget(self) -> None:
+        super()._forget()
+        for group in self.param_groups:
+            for p in group["params"]:
+                self.state[p].pop("normals", None)
+
+
+def _stack(parts: list[Tensor], lead: int) -> Tensor:
+    """All parameters' parts `(N, *batch, *own)` as one vector `(N, *batch, P)`; `lead` counts the axes in front."""
+    return torch.cat([part.reshape(*part.shape[:lead], -1) for part in parts], -1)
+
+
+def _cut(stacked: Tensor, like: list[Tensor]) -> list[Tensor]:
+    """What `_stack` made, in the shapes of `like`."""
+    lead = stacked.ndim - 1
+    cuts = stacked.split([z.shape[lead:].numel() for z in like], -1)
+    return [cut.reshape(z.shape) for cut, z in zip(cuts, like, strict=True)]
