@@ -13,6 +13,7 @@ import tyro
 from torchds.errors import TorchdsError
 from train import benchmark
 from train.benchmark_lasa import BenchmarkLasa
+from train.hardware import Hardware
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper import Figures
 from train.run import Interrupted, run
@@ -24,6 +25,7 @@ def main() -> int:
     commands: dict[str, Callable[..., Any]] = {
         **TASK_OPTIONS,
         "figures": Figures,
+        "hardware": Hardware,
         "view": View,
         "benchmark": benchmark.Benchmark,
         "benchmark_lasa": BenchmarkLasa,
