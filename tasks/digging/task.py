@@ -106,11 +106,10 @@ class LwrDigging(Task):
             n_updates=10,
             n_rollouts=8,
             control_weight=1e-12,
-            mean_speed=0.005,
+            mean_speed=0.008,
             mean_stiffness=60.0,
             spread=(0.015, 0.015, 0.15),
             stiffness_spread=100.0,
-            damping=1e-2,
             elite="nominal",
         )
         if self.demonstrations.dim != 3:
