@@ -10,10 +10,20 @@ from typing import Any
 import torch
 
 import tasks
+from tasks.base import total
 from torchds import Rollout
 from train.options import RunOptions
 from train.records import History
-from train.searchers import make_closure, make_decay, make_optimizer, n_updates
+from train.searchers import (
+    add_noise,
+    forward_equivalents,
+    make_closure,
+    make_decay,
+    make_optimizer,
+    n_failed,
+    n_rollouts,
+    n_updates,
+)
 
 
 class Learner:
@@ -32,7 +42,12 @@ class Learner:
         self.optim = make_optimizer(options, self.task, self.policy)
         self.decay = make_decay(options, self.task, self.optim)
         self.closure = make_closure(self.optim, self.task, self.policy)
-        self.n_updates = n_updates(options, self.task)
+        self.noise = torch.Generator().manual_seed(options.seed)
+        if options.cost_noise:
+            with torch.no_grad():
+                std = options.cost_noise * float(total(self.task.evaluate(self.initial)[1].values()))
+            self.closure = add_noise(self.closure, std, getattr(self.optim, "costs_per_step", False), self.noise)
+        self.n_updates = n_updates(options, self.task) * n_rollouts(options, self.task) // self.optim.n_rollouts
         self.history = History()
         self.path: Rollout | None = None
 
@@ -44,15 +59,17 @@ class Learner:
     def start(self) -> None:
         """Evaluate the initial policy, once."""
         if not self.history.cost:
-            self.history.add(0, self.evaluate(), failed=0)
+            self.history.add(0, self.evaluate(), 0, forward_equivalents(self.options, self.optim, 0))
 
     def update(self) -> float:
         """One update and a noise-free evaluation; returns the seconds it took."""
         began = time.perf_counter()
         self.optim.step(self.closure)
-        self.decay.step()
-        failed = int(self.optim.last.failed.sum()) if self.optim.last else 0
-        self.history.add(self.history.rollouts[-1] + self.optim.n_rollouts, self.evaluate(), failed)
+        if self.decay is not None:
+            self.decay.step()
+        updates = self.done + 1
+        computed = forward_equivalents(self.options, self.optim, updates)
+        self.history.add(updates * self.optim.n_rollouts, self.evaluate(), n_failed(self.optim), computed)
         seconds = time.perf_counter() - began
         self.history.seconds += seconds
         return seconds
@@ -75,7 +92,8 @@ class Learner:
         return {
             "policy": self.policy.state_dict(),
             "optimizer": self.optim.state_dict(),
-            "decay": self.decay.state_dict(),
+            "decay": None if self.decay is None else self.decay.state_dict(),
+            "noise": self.noise.get_state(),
             "task": self.task.state_dict(),
             "history": asdict(self.history),
         }
@@ -84,6 +102,8 @@ class Learner:
         """Continue where `state_dict` was taken."""
         self.policy.load_state_dict(state["policy"])
         self.optim.load_state_dict(state["optimizer"])
-        self.decay.load_state_dict(state["decay"])
+        self.noise.set_state(state["noise"])
+        if self.decay is not None:
+            self.decay.load_state_dict(state["decay"])
         self.task.load_state_dict(state["task"])
         self.history = History(**state["history"])

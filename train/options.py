@@ -8,6 +8,10 @@ from typing import Any, ClassVar, Literal
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 
+Optimizer = Literal[
+    "pibb", "pi2", "pi2cma", "surrogate", "nes", "cma", "cobyqa", "finite_differences", "adam", "sgd", "lbfgs"
+]
+
 
 @dataclass
 class RunOptions:
@@ -23,8 +27,12 @@ class RunOptions:
     """Policy updates; the task's own number if not given."""
     rollouts: int | None = None
     """Roll-outs per update; the task's own number if not given."""
-    optimizer: Literal["pibb", "pi2"] = "pibb"
-    """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper. pi2: averaged over time steps."""
+    optimizer: Optimizer = "pibb"
+    """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper. pi2: averaged over time steps.
+    pi2cma: pibb that adapts the covariance of its noise, without decay. surrogate: pibb that tries what similar roll-outs
+    make look cheap; with --exploration trajectory, the recommended learner of all tasks. The others search over the unit
+    normals of the exploration as it is at the start. nes: score-function gradient. cma: CMA-ES. cobyqa: quadratic models
+    in a trust region. finite_differences. adam, sgd, lbfgs: the gradient of the trial itself."""
     exploration: Exploration = "homogeneous"
     """Parameter noise. homogeneous: equal in task space (Eq. 14-18). trajectory: equal along the motion. gaussian: one
     standard deviation for all. stable: keeps a stable policy stable (Eq. 19-23). stable-trajectory: that, along the
@@ -33,11 +41,15 @@ class RunOptions:
     """How stable noise is made. all: its symmetric part is scaled, as in the paper. direction: only what offends is cut.
     none: nothing, but the goal stays a fixed point."""
     noise: float | None = None
-    """Size of the exploration: mean speed (homogeneous), spread of the motion (trajectory), standard deviation
-    (gaussian, stable); the task's own if not given."""
+    """Size of the exploration: mean speed (homogeneous), share of the motion's extent (trajectory),
+    standard deviation (gaussian, stable); the task's own if not given."""
+    scale: float = 1.0
+    """Factor on the first step of the optimizer, whatever it is: the width of its noise, its rate, or its trust region."""
+    cost_noise: float = 0.0
+    """Standard deviation of noise in the cost of each trial, as a share of the initial policy's cost."""
     decay: Literal["inverse", "linear", "exponential", "none"] | None = None
     """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper. linear: to a tenth, as the
-    authors' program. exponential: to 3 %. The task's own if not given, exponential with trajectories."""
+    authors' program. exponential: to 15 %. The task's own if not given, exponential with trajectories, none with pi2cma."""
     temperature: Literal["range", "median", "capped"] | None = None
     """The spread of costs that scales the weights. range: the paper's. median: the authors' program's. capped: range
     after capping bad costs. The task's own if not given, capped with trajectories."""

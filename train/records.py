@@ -24,6 +24,8 @@ class History:
         cost: `[U+1][runs]`.
         terms: name -> `[U+1][runs]`.
         failed: `[U+1]` roll-outs without a finite cost, all runs together.
+        forward_equivalents: `[U+1]` what was computed, in roll-outs without gradients: a roll-out with its gradient counts as
+            four, the Jacobian behind noise along the motion as two.
         seconds: spent learning.
     """
 
@@ -31,11 +33,13 @@ class History:
     cost: list[list[float]] = field(default_factory=list)
     terms: dict[str, list[list[float]]] = field(default_factory=dict)
     failed: list[int] = field(default_factory=list)
+    forward_equivalents: list[int] = field(default_factory=list)
     seconds: float = 0.0
 
-    def add(self, rollouts: int, terms: dict[str, Tensor], failed: int) -> None:
+    def add(self, rollouts: int, terms: dict[str, Tensor], failed: int, forward_equivalents: int) -> None:
         """Append one evaluation, terms `(runs,)` each."""
         self.rollouts.append(rollouts)
+        self.forward_equivalents.append(forward_equivalents)
         self.cost.append(torch.stack(list(terms.values())).sum(0).tolist())
         for name, values in terms.items():
             self.terms.setdefault(name, []).append(values.tolist())
@@ -45,7 +49,7 @@ class History:
 def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
     found = {"python": platform.python_version(), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
-    for package in ("torchds", "torch", "numpy", "scikit-learn", "mujoco"):
+    for package in ("torchds", "torch", "numpy", "scipy", "scikit-learn", "cma", "cobyqa", "mujoco"):
         try:
             found[package] = version(package)
         except PackageNotFoundError:
@@ -77,6 +81,7 @@ def results(task: str, options: dict[str, Any], history: History) -> dict[str, A
         "options": options,
         "versions": versions(),
         "rollouts": history.rollouts,
+        "forward_equivalents": history.forward_equivalents,
         "cost": history.cost,
         "terms": history.terms,
         "failed": history.failed,

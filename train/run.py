@@ -15,7 +15,9 @@ from torchds.errors import InvalidArgumentError
 from train import figures
 from train.learning import Learner
 from train.options import TASK_OPTIONS, RunOptions
+from train.pictures import Album
 from train.records import median, results, save_checkpoint, table, write_json
+from train.searchers import scalars
 
 CHECKPOINT = "checkpoint.pt"
 OPTIONS = "options.json"
@@ -36,6 +38,10 @@ def check(options: RunOptions) -> None:
         value = getattr(options, name)
         if value is not None and value < (0 if name == "updates" else 1):
             raise InvalidArgumentError(f"--{name} has to be at least {0 if name == 'updates' else 1}, got {value}")
+    if not options.scale > 0 or not options.cost_noise >= 0:
+        raise InvalidArgumentError(
+            f"--scale has to be positive and --cost-noise at least 0, got {options.scale} and {options.cost_noise}"
+        )
 
 
 def resume_options(folder: Path) -> RunOptions:
@@ -82,14 +88,17 @@ def run(options: RunOptions) -> Path:
         learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
     print(f"{options.task}: {options.runs} run(s), logs in {folder}")
     with SummaryWriter(str(folder), purge_step=learner.done) as writer:
+        album = Album(writer, learner)
         if not learner.history.cost:
             learner.start()
             log(writer, learner, seconds=0.0)
+            album.add()
         bar = tqdm(initial=learner.done, total=learner.n_updates, unit="update", dynamic_ncols=True)
         try:
             while learner.done < learner.n_updates:
                 seconds = learner.update()
                 log(writer, learner, seconds)
+                album.add()
                 save_checkpoint(folder / CHECKPOINT, learner.state_dict())
                 bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
                 bar.update()
@@ -98,6 +107,7 @@ def run(options: RunOptions) -> Path:
         finally:
             bar.close()
         finish(folder, writer, learner)
+        album.finish(folder)
     history = learner.history
     print(table(history))
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder}")
@@ -118,7 +128,7 @@ def finish(folder: Path, writer: SummaryWriter, learner: Learner) -> None:
 
 def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
-    history, optim, update = learner.history, learner.optim, learner.done
+    history, update = learner.history, learner.done
     quantiles = np.quantile(history.cost[-1], [0.25, 0.5, 0.75])
     for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quantiles, strict=True):
         writer.add_scalar(name, value, update)
@@ -129,12 +139,8 @@ def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
             writer.add_scalar(tag, value.median(), update)
     writer.add_scalar("rollouts/total", history.rollouts[-1], update)
     writer.add_scalar("rollouts/failed", history.failed[-1], update)
-    writer.add_scalar("exploration/lr", optim.param_groups[0]["lr"], update)
-    for exploration in optim.explorations:
-        for tag, value in exploration.scalars().items():
-            writer.add_scalar(tag, value, update)
-    if optim.last is not None:
-        w = optim.last.weights
-        writer.add_scalar("weights/entropy", -(w * w.clamp_min(1e-300).log()).sum(0).mean(), update)
-        writer.add_scalar("exploration/mean_cost", torch.where(optim.last.failed, 0, optim.last.cost).mean(), update)
+    writer.add_scalar("rollouts/forward_equivalents", history.forward_equivalents[-1], update)
+    for tag, value in scalars(learner.optim).items():
+        writer.add_scalar(tag, value, update)
+    if update:
         writer.add_scalar("time/update_seconds", seconds, update)

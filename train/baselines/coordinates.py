@@ -1,0 +1,175 @@
+"""Searchers over z in θ = θ₀ + L z: every method sees the same units, every trial is counted, every run resumes.
+
+A method is a generator. It yields the points that it wants to try and is sent what they cost; nothing else happens to it.
+So one record of answers, played to a new generator, brings any method back to where it was, bit for bit, whether its state
+is in three tensors or deep in the stack of a library.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchds import GMRPolicy
+from torchds.exploration import Exploration
+
+GRADIENT_COST = 4
+"""Forward-equivalents of a trial with its gradient: the trial, and a backward pass that takes about three times as long."""
+JACOBIAN_COST = 2
+"""Forward-equivalents of the Jacobian behind `TrajectorySpace`: a roll-out of the reference, and about as much again."""
+
+
+class Setting(NamedTuple):
+    """What a method is told at the start; it begins at z = 0.
+
+    Attributes:
+        runs: independent runs.
+        P: entries of z.
+        n_rollouts: trials between two updates of methods that try several at once.
+        scale: factor on the method's first step.
+        seed: of all its randomness.
+    """
+
+    runs: int
+    P: int
+    n_rollouts: int
+    scale: float
+    seed: int
+
+
+class Ask(NamedTuple):
+    """What a method wants to try, and what it recommends so far: `(N, runs, P)` and `(runs, P)`."""
+
+    z: Tensor
+    answer: Tensor
+
+
+class Answer(NamedTuple):
+    """What the trials cost, `(N, runs)`, infinite where one failed; their gradients `(N, runs, P)` where asked for."""
+
+    cost: Tensor
+    gradient: Tensor | None
+
+
+Asking = Generator[Ask, Answer, None]
+
+
+class Method(NamedTuple):
+    """A way to search.
+
+    Attributes:
+        begin: makes the generator.
+        gradient: whether it needs gradients of the trials.
+        random: whether its runs differ where the trials do not.
+    """
+
+    begin: Callable[[Setting], Asking]
+    gradient: bool
+    random: bool
+
+
+@torch.no_grad()
+def root(policy: GMRPolicy, exploration: Exploration) -> Tensor:
+    """L `(*batch, P, P)` of an exploration that is linear in its normals: what it makes of each unit vector."""
+    theta = policy.pack()
+    P = theta.shape[-1]
+    unit = torch.eye(P, dtype=theta.dtype).reshape(P, *(1,) * len(policy.batch_shape), P).expand(P, *theta.shape)
+    parts = policy.split(unit)
+    names, parameters = zip(*policy.named_parameters(), strict=True)
+    noise = exploration(parameters, [parts[name] for name in names])
+    return policy.join(dict(zip(names, noise, strict=True))).movedim(0, -1)
+
+
+class CoordinateSearch:
+    """Steps a method over z, with the interface that learning runs use of an optimizer.
+
+    Args:
+        policy: `(runs,)` policies, whose present parameters are θ₀.
+        exploration: gives L, once: one unit of z is one standard deviation of its noise.
+        method: the method.
+        setting: for the method.
+
+    Attributes:
+        n_rollouts: trials of one `step`: the least number, not below the setting's, that the method can stop at.
+        mean_cost: `(runs,)` of the trials of the last step that did not fail; None before the first.
+        failed: how many failed in it, all runs together.
+    """
+
+    def __init__(self, policy: GMRPolicy, exploration: Exploration, method: Method, setting: Setting) -> None:
+        self.policy, self.method, self.setting = policy, method, setting
+        self.center, self.L = policy.pack().detach().clone(), root(policy, exploration)
+        self._asking: Asking
+        self._asked: Ask
+        self._answers: list[Answer]
+        self._begin()
+        self.n_rollouts = len(self._asked.z) * math.ceil(setting.n_rollouts / len(self._asked.z))
+        self.mean_cost: Tensor | None = None
+        self.failed = 0
+
+    @property
+    def forward_equivalents(self) -> int:
+        """What one step costs, in trials without gradients."""
+        return self.n_rollouts * (GRADIENT_COST if self.method.gradient else 1)
+
+    def theta(self, z: Tensor) -> Tensor:
+        """The parameters `(..., runs, P)` at `z` `(..., runs, P)`."""
+        return self.center + (self.L @ z.unsqueeze(-1)).squeeze(-1)
+
+    def step(self, closure: Callable[[], Tensor]) -> Tensor:
+        """Spend `n_rollouts` trials and leave the policies at what the method then recommends.
+
+        Args:
+            closure: the whole cost `(N, runs)` of the policies as they stand, differentiable where the method needs it.
+
+        Returns:
+            `(runs,)` the mean cost.
+        """
+        before = len(self._answers)
+        for _ in range(0, self.n_rollouts, len(self._asked.z)):
+            self._take(self._try(closure, self._asked.z))
+        self.policy.unpack(self.theta(self._asked.answer))
+        cost = torch.cat([answer.cost for answer in self._answers[before:]])
+        finite = cost.isfinite()
+        self.failed = int((~finite).sum())
+        self.mean_cost = torch.where(finite, cost, 0.0).sum(0) / finite.sum(0)
+        return self.mean_cost
+
+    def _try(self, closure: Callable[[], Tensor], z: Tensor) -> Answer:
+        """Run the trials; the gradient in z is Lᵀ times the one in θ."""
+        present, gradient = self.policy.pack().detach(), None
+        try:
+            self.policy.unpack(self.theta(z))
+            with torch.set_grad_enabled(self.method.gradient):
+                cost = closure()
+            if self.method.gradient:
+                names, parameters = zip(*self.policy.named_parameters(), strict=True)
+                slopes = torch.autograd.grad(cost.sum(), parameters, materialize_grads=True)
+                in_theta = self.policy.join(dict(zip(names, slopes, strict=True)))
+                gradient = (self.L.mT @ in_theta.unsqueeze(-1)).squeeze(-1)
+        finally:
+            self.policy.unpack(present)
+        cost = cost.detach()
+        return Answer(torch.where(cost.isnan(), torch.inf, cost), gradient)
+
+    def _begin(self) -> None:
+        self._answers = []
+        self._asking = self.method.begin(self.setting)
+        self._asked = next(self._asking)
+
+    def _take(self, answer: Answer) -> None:
+        self._answers.append(answer)
+        self._asked = self._asking.send(answer)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All answers so far."""
+        return {"answers": [tuple(answer) for answer in self._answers]}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Play the answers to a new generator."""
+        self._begin()
+        for values in state["answers"]:
+            self._take(Answer(*values))
