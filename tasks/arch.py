@@ -55,9 +55,6 @@ ARCH_SEARCH = SearchSettings(
     n_rollouts=10,
     control_weight=1e-6,
     mean_stiffness=2.0,
-    spread=0.1,
-    stiffness_spread=2.0,
-    damping=1e-3,
 )
 RELEASED_ARCH_SEARCH = replace(RELEASED_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=10.0)
 

@@ -35,9 +35,8 @@ class SearchSettings:
         mean_speed: of the homogeneous exploration [velocity unit of the task].
         rule: of the homogeneous exploration.
         std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
-        spread: of the exploration along the motion [position unit of the task]; one for each output where units differ.
-        widening: of the exploration along the motion (see `TrajectorySpace`).
-        damping: of the same.
+        spread: of the exploration along the motion [unit of each output]; None for a share of the motion, as all that
+            belongs to it then (see `TrajectorySpace.relative`).
         mean_stiffness: of the noise in each stiffness row [N/m].
         stiffness_spread: of the exploration along the motion, in the stiffness [N/m].
         temperature: the spread of costs that scales the weights.
@@ -51,9 +50,7 @@ class SearchSettings:
     mean_speed: float = 0.1
     rule: Rule = "moment"
     std: float = 0.01
-    spread: float | tuple[float, ...] = 0.5
-    widening: float = 3.0
-    damping: float = 1e-4
+    spread: tuple[float, ...] | None = None
     mean_stiffness: float = 0.0
     stiffness_spread: float | None = None
     temperature: Temperature = "range"

@@ -50,7 +50,7 @@ class HalfPlaneForce(ArchTask):
     }
     # The optimizer adds the control cost of both executions; half the weight is their mean.
     searches: ClassVar = {
-        "paper": replace(ARCH_SEARCH, mean_speed=0.05, control_weight=0.5e-6, widening=1.0, damping=1e-2),
+        "paper": replace(ARCH_SEARCH, mean_speed=0.05, control_weight=0.5e-6),
         "released": replace(RELEASED_ARCH_SEARCH, control_weight=0.5e-7),
     }
 

@@ -28,8 +28,8 @@ def learn(shape, method):
     policy = task.policy().expand(RUNS)
     exploration = Homogeneous(policy, search.mean_speed, search.rule)
     factor, temperature = InverseIteration(), search.temperature
-    if method == "trajectory":  # as `python -m train` has it
-        exploration = TrajectorySpace(policy, **task.motion(), spread=search.spread, mean_speed=search.mean_speed)
+    if method == "trajectory":
+        exploration = TrajectorySpace(policy, **task.motion(), spread=0.5, mean_speed=0.1, damping=1e-4)
         factor, temperature = ExponentialDecay(search.n_updates, 0.03), "capped"
     cls, cost = (PI2, task.step_costs) if method == "pi2" else (PIBB, task.cost)
     optim = cls(

@@ -37,7 +37,7 @@ def figure_5(runs: int, seed: int) -> Made:
     path = task.rollout(policy).x
     ones = {name: torch.ones_like(p) for name, p in policy.named_parameters()}
     homogeneous = Homogeneous(policy, mean_speed=1.0)
-    along = TrajectorySpace(policy, **task.motion(), spread=task.search.spread, mean_speed=task.search.mean_speed)
+    along = TrajectorySpace.relative(policy, **task.motion())
     columns: list[tuple[str, Tensor, Exploration]] = [
         ("uniform", policy.join(ones).square().diag(), Gaussian(1.0)),
         ("homogeneous (section 4.1)", policy.join(homogeneous.std()).square().diag(), homogeneous),
@@ -70,7 +70,7 @@ def figure_5(runs: int, seed: int) -> Made:
         plotting.trajectories(lower, path, color="black", label="imitated motion")
         lower.set_xlim(xlim[0] - 3, xlim[1] + 3)
         lower.set_ylim(ylim[0] - 3, ylim[1] + 3)
-        size = "a tenth of this noise" if exploration is not along else f"spread {along.spread:g}"
+        size = "a tenth of this noise" if exploration is not along else f"spread {float(along.spread[0]):.2g}"
         plotting.finish_map(lower, f"motions under {size}", task.scene().unit)
         lines.append(
             f"- {title}: velocity noise on the path {on_path.min():.2f} to {on_path.max():.2f} (median {typical:.2f}), within "

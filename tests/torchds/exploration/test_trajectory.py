@@ -422,7 +422,7 @@ def test_the_scale_of_the_normals_scales_the_noise():
         ({"mean_speed": float("nan")}, "mean_speed has to be finite and positive, got nan"),
         ({"damping": -1e-3}, "damping ≥ 0 and refresh ≥ 1 are needed, got -0.001 and 1"),
         ({"damping": float("nan")}, "damping ≥ 0 and refresh ≥ 1 are needed, got nan and 1"),
-        ({"refresh": 0}, "damping ≥ 0 and refresh ≥ 1 are needed, got 0.0001 and 0"),
+        ({"refresh": 0}, "damping ≥ 0 and refresh ≥ 1 are needed, got 0.01 and 0"),
     ],
 )
 def test_options_out_of_range_are_refused(options, message):
