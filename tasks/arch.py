@@ -146,11 +146,11 @@ class ArchTask(Task):
         return {"x0": start, "n_steps": round(self.setup.duration / DT), "dt": DT}
 
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
-        """Acceleration and stiffness terms of each trajectory `(*batch, *points)`."""
+        """Acceleration and stiffness of each step of each trajectory `(*batch, *points, T)`, not weighted."""
         applied = path.plant.stiffness[..., 1:, :]
         if self.convention == "released":
-            return path.plant.acceleration[..., 1:, :].square().sum((-2, -1)), applied.sum((-2, -1))
-        return costs.acceleration(path.v), costs.stiffness(applied)
+            return path.plant.acceleration[..., 1:, :].square().sum(-1), applied.sum(-1)
+        return costs.acceleration_steps(path.v), torch.linalg.vector_norm(applied, dim=-1)
 
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """Share of clamped stiffness, mean stiffness, and energy that its changes inject, `(*batch, *points)`."""

@@ -85,10 +85,17 @@ class DivergentField(ArchTask):
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal, acceleration and stiffness of Eq. 49."""
-        acceleration, stiffness = self.effort(path)
+        running = {name: steps.sum(-1) for name, steps in self.running_costs(path).items()}
         return {
             "via_points": costs.via_points(path.x, self.via_points),
             "goal": costs.goal(path.x, self.goal),
+            **running,
+        }
+
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """Acceleration and stiffness."""
+        acceleration, stiffness = self.effort(path)
+        return {
             "acceleration": self.setup.acceleration_weight * acceleration,
             "stiffness": self.setup.stiffness_weight * stiffness,
         }

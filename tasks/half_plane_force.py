@@ -89,14 +89,21 @@ class HalfPlaneForce(ArchTask):
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal, acceleration and stiffness of Eq. 51, mean over the executions."""
-        acceleration, stiffness = self.effort(path)  # (*batch, 2)
-        if self.convention == "released":
-            acceleration, stiffness = 0.5 * acceleration[..., 1], 0.5 * stiffness[..., 1]
-        else:
-            acceleration, stiffness = acceleration.mean(-1), stiffness.mean(-1)
+        running = {name: steps.sum(-1) for name, steps in self.running_costs(path).items()}
         return {
             "via_points": costs.via_points(path.x, self.via_points).mean(-1),
             "goal": costs.goal(path.x, self.goal).mean(-1),
+            **running,
+        }
+
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """Acceleration and stiffness, mean over the executions."""
+        acceleration, stiffness = self.effort(path)  # (*batch, 2, T)
+        if self.convention == "released":
+            acceleration, stiffness = 0.5 * acceleration[..., 1, :], 0.5 * stiffness[..., 1, :]
+        else:
+            acceleration, stiffness = acceleration.mean(-2), stiffness.mean(-2)
+        return {
             "acceleration": self.setup.acceleration_weight * acceleration,
             "stiffness": self.setup.stiffness_weight * stiffness,
         }

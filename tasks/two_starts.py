@@ -123,15 +123,17 @@ class TwoStarts(Task):
         """Via-points, goal and acceleration of Eq. 40 over both starts."""
         either = torch.stack([costs.via_points(path.x, points) for points in self.via_points.values()])
         via, goal = either.amin(0), costs.goal(path.x, self.goal)  # (*batch, S)
+        running = {name: steps.sum(-1) for name, steps in self.running_costs(path).items()}
         if self.plant is None:
-            speed_changes = costs.acceleration(path.v).sum(-1)
-            return {
-                "via_points": via.sum(-1),
-                "goal": goal.sum(-1),
-                "acceleration": ACCELERATION_WEIGHT * speed_changes,
-            }
-        squared = path.plant.acceleration[..., 1, :, :].square().sum((-2, -1))  # of the right start
-        return {"via_points": via.mean(-1), "goal": goal.mean(-1), "acceleration": 0.5 * ACCELERATION_WEIGHT * squared}
+            return {"via_points": via.sum(-1), "goal": goal.sum(-1), **running}
+        return {"via_points": via.mean(-1), "goal": goal.mean(-1), **running}
+
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """The acceleration."""
+        if self.plant is None:
+            return {"acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v).sum(-2)}
+        squared = path.plant.acceleration[..., 1, 1:, :].square().sum(-1)  # of the right start
+        return {"acceleration": 0.5 * ACCELERATION_WEIGHT * squared}
 
     def scene(self) -> Scene:
         """Both starts, the goal and both sets of via-points."""
