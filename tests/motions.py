@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+import tasks
 from torchds.demonstrations import Demonstrations
 
 
@@ -34,3 +35,11 @@ def equal(a, b):
 
 def refuses(kind, *words):
     return pytest.raises(kind, match=".*".join(re.escape(word) for word in words))
+
+
+class Short(tasks.ViaPoint):
+    """A letter in a tenth of the steps."""
+
+    def motion(self):
+        motion = super().motion()
+        return {**motion, "n_steps": motion["n_steps"] // 10, "dt": 10 * motion["dt"]}

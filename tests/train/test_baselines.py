@@ -8,6 +8,7 @@ import scipy.optimize
 import torch
 
 import tasks
+from tests.motions import Short
 from torchds.errors import InvalidArgumentError, MissingPackageError
 from torchds.exploration import Homogeneous, TrajectorySpace
 from train.baselines import METHODS, CoordinateSearch, Method, Setting
@@ -19,14 +20,6 @@ from train.searchers import SAMPLED
 
 GRADIENTS = [name for name, method in METHODS.items() if method.gradient]
 P = 24  # of four components in the plane
-
-
-class Short(tasks.ViaPoint):
-    """A letter in a tenth of the steps."""
-
-    def motion(self):
-        motion = super().motion()
-        return {**motion, "n_steps": motion["n_steps"] // 10, "dt": 10 * motion["dt"]}
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +98,7 @@ def test_noise_in_the_cost_has_the_size_that_was_asked_for(task):
     with torch.no_grad():
         search.policy.unpack(search.policy.pack()[0].expand(2000, -1))
         noise = search.closure() - clean.closure()[0]
-    initial = sum(task.evaluate(task.policy())[1].values())
+        initial = sum(task.evaluate(task.policy())[1].values())
     assert noise.std() == pytest.approx(0.1 * float(initial), rel=0.05)
 
 

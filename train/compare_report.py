@@ -1,0 +1,276 @@
+"""What a comparison leaves behind: a page, tables, a figure, and TensorBoard's hyper-parameters."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch.utils.tensorboard import SummaryWriter
+
+HUGE = 1e300  # stands for infinity where numbers are interpolated
+REFERENCE = "pibb"  # whose final cost the others are held to
+
+COLORS = {
+    "pibb": "black",
+    "pi2": "#7a7a7a",
+    "pi2cma": "#e8a33d",
+    "nes": "#8d6cc3",
+    "cma": "#2a9d5c",
+    "cobyqa": "#1f5fa8",
+    "finite_differences": "#4bb3c2",
+    "adam": "#c8201e",
+    "sgd": "#f08a7e",
+    "lbfgs": "#8a1a4a",
+}
+OTHERS = ("#c98a1b", "#8a5a3c", "#b03a8c", "#5f7d3a")  # of rows that were added
+
+
+@dataclass(frozen=True)
+class Row:
+    """One optimizer on one problem.
+
+    Attributes:
+        problem: what was learned.
+        label: of the optimizer, "..., trajectory" where it worked along the motion.
+        record: the content of results.json; empty where the method was refused.
+        factor: on its first step; None where it was not chosen here.
+        tuned: median final cost of the tuning runs by factor.
+        random: whether runs differ.
+        gradient: whether it saw gradients.
+        refused: why there is no result.
+    """
+
+    problem: str
+    label: str
+    record: dict[str, Any] = field(default_factory=dict)
+    factor: float | None = None
+    tuned: dict[float, float] = field(default_factory=dict)
+    random: bool = True
+    gradient: bool = False
+    refused: str = ""
+
+    def quantiles(self) -> np.ndarray:
+        """`(3, U+1)` quartiles and median (in the middle) of the cost over runs; what is not a number counts as infinite."""
+        cost = np.asarray(self.record["cost"], dtype=float)
+        values = np.quantile(np.where(np.isfinite(cost), cost, HUGE), [0.25, 0.5, 0.75], axis=1)
+        return np.where(values < 1e-9 * HUGE, values, np.inf)
+
+    def reaches(self, level: float) -> int | None:
+        """Roll-outs until the median is at `level` for the first time; None if never."""
+        below = np.flatnonzero(self.quantiles()[1] <= level)
+        return self.record["rollouts"][below[0]] if len(below) else None
+
+
+HEAD = (
+    "optimizer",
+    "gradients",
+    "factor",
+    "initial",
+    "final median",
+    "q1",
+    "q3",
+    "roll-outs",
+    "to PI^BB's final",
+    "forward-equivalents",
+    "failed",
+    "runs",
+    "seconds",
+)
+
+
+def number(value: float) -> str:
+    """Three digits."""
+    return f"{value:.3g}" if math.isfinite(value) else "∞"
+
+
+def cells(row: Row, level: float | None) -> list[str]:
+    """One line of a table."""
+    if row.refused:
+        return [row.label, *["—"] * (len(HEAD) - 1)]
+    q1, median, q3 = row.quantiles()
+    reached = None if level is None else row.reaches(level)
+    return [
+        row.label,
+        "yes" if row.gradient else "no",
+        "—" if row.factor is None else f"{row.factor:.2g}",
+        number(median[0]),
+        number(median[-1]),
+        number(q1[-1]),
+        number(q3[-1]),
+        str(row.record["rollouts"][-1]),
+        "never" if reached is None else str(reached),
+        str(row.record["forward_equivalents"][-1]),
+        str(sum(row.record["failed"])),
+        str(len(row.record["cost"][-1])) if row.random else "1, deterministic",
+        f"{row.record['seconds']:.0f}",
+    ]
+
+
+def by_problem(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows in the order of the problems' first appearance."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.problem, []).append(row)
+    return found
+
+
+def reference_level(rows: Sequence[Row]) -> float | None:
+    """PI^BB's final median, as tuned; None without such a row."""
+    level = [row.quantiles()[1][-1] for row in rows if row.label == REFERENCE and not row.refused]
+    return float(level[0]) if level else None
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The Markdown table of one problem, the lowest final median first, and what was refused below it."""
+    level = reference_level(rows)
+    ordered = sorted(rows, key=lambda row: math.inf if row.refused else row.quantiles()[1][-1])
+    lines = [HEAD, ["---"] * len(HEAD), *(cells(row, level) for row in ordered)]
+    text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    reasons = [f"- {row.label}: {row.refused}" for row in rows if row.refused]
+    return text + ("\n\nCannot be had:\n\n" + "\n".join(reasons) if reasons else "")
+
+
+def choices(rows: Sequence[Row]) -> str:
+    """The median final cost of the tuning runs by factor."""
+    factors = sorted({factor for row in rows for factor in row.tuned})
+    if not factors:
+        return "No tuning: one factor was given."
+    head = ["problem", "optimizer", *(f"× {factor:.2g}" for factor in factors), "chosen"]
+    lines = [head, ["---"] * len(head)]
+    for row in rows:
+        if row.tuned:
+            tried = [number(row.tuned[factor]) for factor in factors]
+            lines.append([row.problem, row.label, *tried, f"{row.factor:.2g}"])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def page(rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str]) -> str:
+    """The report."""
+    noise = options["noise_std"]
+    noisy = (
+        f" The cost of each trial carries normal noise of {noise:g} times the initial cost; the costs below are those without "
+        "noise. The gradients of adam, sgd and lbfgs come from the simulation and know nothing of it."
+        if noise
+        else ""
+    )
+    parts = [
+        "# Comparison of optimizers",
+        "Costs are those of the policy without noise, control cost included: medians and quartiles over the runs of a row, all "
+        "of which start from the same policy. Roll-outs are counted per run; the evaluations that draw the curves are not part "
+        f"of them.{noisy}",
+        "Plain rows search with noise, or in coordinates, homogeneous in task space, each parameter by itself; trajectory rows "
+        "along the motion, which needs the model of the reference motion (not of the plant). Rows with gradients "
+        "differentiate the whole simulation, the plant and the cost: no robot gives that.",
+        "Forward-equivalents: a roll-out counts as one, a roll-out with its gradient as four, the Jacobian of the reference "
+        "motion as two (once for searches in fixed coordinates, in every update for pibb and pi2). Seconds are those of all "
+        "runs of a row in one batch on one core.",
+        "Every method's first step (width of noise, rate, or trust region) was tuned by one factor over the grid "
+        f"{', '.join(f'{factor:.2g}' for factor in options['factors'])}, by the median final cost of {options['tuning_runs']} "
+        "runs on seeds of their own. Where nothing is random there is one run, and the choice is made on the very run that "
+        "is reported: that favours those rows. Nothing else was tuned for any row. cobyqa and lbfgs report the best point "
+        "tried, cma and nes the mean, adam, sgd and finite_differences where they stand.",
+    ]
+    for problem, members in by_problem(rows).items():
+        parts += [f"## {problem}", table(members)]
+    parts += ["![Learning curves](curves.png)", "## Tuning", choices(rows)]
+    parts += ["## Made by", ", ".join(f"{name} {value}" for name, value in {**options, **versions}.items())]
+    return "\n\n".join(parts) + "\n"
+
+
+def colors(rows: Sequence[Row]) -> dict[str, str]:
+    """One colour for one optimizer, in all panels."""
+    names = dict.fromkeys(row.label.split(",")[0] for row in rows)
+    spare = iter(OTHERS * len(names))
+    return {name: COLORS.get(name) or next(spare) for name in names}
+
+
+def curves(rows: Sequence[Row]) -> Figure:
+    """Median cost against roll-outs, a row of panels per problem: plain on the left, along the motion on the right."""
+    shown = [row for row in rows if not row.refused]
+    problems, color = by_problem(shown), colors(rows)
+    figure = Figure(figsize=(12.5, 0.8 + 3.6 * max(len(problems), 1)), layout="constrained")
+    panels = figure.subplots(max(len(problems), 1), 2, sharey="row", squeeze=False)
+    for (problem, members), (left, right) in zip(problems.items(), panels, strict=True):
+        for axes, kind in ((left, "plain"), (right, "along the motion")):
+            chosen = [row for row in members if row.label.endswith(", trajectory") == (kind != "plain")]
+            draw(axes, chosen, color, reference_level(members))
+            axes.set_title(f"{problem}: {kind}", fontsize=10)
+        left.set_ylabel("cost without noise")
+        right.set_xlabel("roll-outs")
+        left.set_xlabel("roll-outs")
+    handles = {
+        label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(handles.values()), list(handles), loc="outside right center", fontsize=9, frameon=False)
+    return figure
+
+
+def draw(axes: Axes, rows: Sequence[Row], color: dict[str, str], level: float | None) -> None:
+    """Medians as lines, quartiles as bands; dashed where the method sees gradients."""
+    floor, ceiling = math.inf, 0.0
+    for row in rows:
+        q1, median, q3 = row.quantiles()
+        name = row.label.split(",")[0]
+        x = row.record["rollouts"]
+        dashes = "--" if row.gradient else "-"
+        width = 2.4 if name == REFERENCE else 1.5
+        axes.plot(x, median, dashes, color=color[name], lw=width, label=name + (" (gradients)" if row.gradient else ""))
+        axes.fill_between(x, q1, np.where(np.isfinite(q3), q3, median), color=color[name], alpha=0.12, lw=0)
+        floor = min(floor, *(value for value in median if value > 0))
+        ceiling = max(ceiling, median[0])
+    if level is not None:
+        axes.axhline(level, color="black", lw=0.8, ls=":", label="final median of PI^BB, plain")
+    axes.set_yscale("log")
+    if ceiling > 0 and math.isfinite(floor):
+        low = axes.get_ylim()[0] if axes.has_data() else floor
+        axes.set_ylim(min(low, 0.7 * floor), 3 * ceiling)
+    axes.grid(alpha=0.3)
+
+
+def write(folder: Path, rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str]) -> str:
+    """Write report.md, table.csv, curves.csv, curves.png and TensorBoard files; return the report."""
+    text = page(rows, options, versions)
+    (folder / "report.md").write_text(text)
+    kept = [row for row in rows if not row.refused]
+    with (folder / "table.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["problem", *HEAD, "refused"])
+        for problem, members in by_problem(rows).items():
+            level = reference_level(members)
+            writer.writerows([problem, *cells(row, level), row.refused] for row in members)
+    with (folder / "curves.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["problem", "optimizer", "roll-outs", "q1", "median", "q3"])
+        for row in kept:
+            for rollouts, *values in zip(row.record["rollouts"], *row.quantiles().tolist(), strict=True):
+                writer.writerow([row.problem, row.label, rollouts, *values])
+    curves(rows).savefig(folder / "curves.png", dpi=130)
+    for i, row in enumerate(kept):
+        with SummaryWriter(str(folder / f"{i:03d}")) as board:
+            hparams = {
+                "problem": row.problem,
+                "optimizer": row.label,
+                "factor": row.factor or 0.0,
+                "gradient": row.gradient,
+            }
+            level = reference_level([other for other in kept if other.problem == row.problem])
+            reached = None if level is None else row.reaches(level)
+            metrics = {
+                "hparam/final_cost_median": float(row.quantiles()[1][-1]),
+                "hparam/rollouts_to_reference": math.inf if reached is None else reached,
+                "hparam/forward_equivalents": row.record["forward_equivalents"][-1],
+                "hparam/seconds": row.record["seconds"],
+            }
+            board.add_hparams(hparams, metrics, run_name=".")
+    return text
