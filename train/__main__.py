@@ -13,6 +13,7 @@ import tyro
 from torchds.errors import TorchdsError
 from train import benchmark
 from train.benchmark_lasa import BenchmarkLasa
+from train.compare import Compare
 from train.hardware import Hardware
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper import Figures
@@ -27,6 +28,7 @@ def main() -> int:
         "figures": Figures,
         "hardware": Hardware,
         "view": View,
+        "compare": Compare,
         "benchmark": benchmark.Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }
