@@ -1,6 +1,7 @@
 """The searchers behind --optimizer: what they spend, where they search, that they improve, repeat and resume."""
 
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from train.baselines import METHODS, CoordinateSearch, Method, Setting
 from train.baselines.coordinates import Answer, Ask, root
 from train.baselines.libraries import lockstep
 from train.learning import Learner
-from train.options import ConstrainedReachingOptions, DivergentFieldOptions, ViaPointOptions
+from train.options import ConstrainedReachingOptions, DivergentFieldOptions, Optimizer, ViaPointOptions
 from train.searchers import SAMPLED
 
 GRADIENTS = [name for name, method in METHODS.items() if method.gradient]
@@ -112,6 +113,10 @@ def test_noise_in_the_cost_changes_what_is_learned_and_resumes(task, name):
     first.update()
     second.load_state_dict(first.state_dict())
     assert second.learn().history.cost == whole.history.cost
+
+
+def test_every_name_of_the_option_is_one_optimizer():
+    assert sorted(get_args(Optimizer)) == sorted([*SAMPLED, *METHODS])
 
 
 # ---------------------------------------------------------------------- coordinates
