@@ -42,6 +42,7 @@ from train.run import RESULTS, check
 from train.searchers import forward_equivalents, n_failed
 
 STATE = "session.pt"
+DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
 
 
 class Session:
@@ -53,6 +54,7 @@ class Session:
     Args:
         folder: of the session.
         options: of the search.
+        task: that they name.
 
     Attributes:
         learner: task, policy `(1,)` and search; its trials in simulation are not used.
@@ -65,15 +67,15 @@ class Session:
         InvalidArgumentError: options that a robot cannot be learned with.
     """
 
-    def __init__(self, folder: Path, options: LwrDiggingOptions) -> None:
+    def __init__(self, folder: Path, options: LwrDiggingOptions, task: LwrDigging) -> None:
         check(options)
         if options.runs != 1 or options.cost_noise or options.elite not in (None, "nominal"):
             raise InvalidArgumentError(
                 "a robot learns in one run, without added noise, and tries the policy itself first; got "
                 f"runs={options.runs}, cost_noise={options.cost_noise}, elite={options.elite!r}"
             )
-        self.folder, self.options, self.task = folder, options, LwrDigging(**options.task_options())
-        self.learner = Learner(options, self.task)
+        self.folder, self.options, self.task = folder, options, task
+        self.learner = Learner(options, task)
         if not isinstance(self.learner.optim, PIBB):
             raise InvalidArgumentError(f"--optimizer {options.optimizer} cannot wait for a robot; use --optimizer pibb")
         self.optim = self.learner.optim
@@ -88,10 +90,10 @@ class Session:
         """
         if (folder / STATE).exists() or list(folder.glob("update-*")):
             raise InvalidArgumentError(f"{folder} holds a session already; {hint('status', folder)}")
-        # Found from wherever the session is continued.
-        demonstrations, mixture = (path and path.resolve() for path in (options.demonstrations, options.mixture))
-        session = cls(folder, replace(options, demonstrations=demonstrations, mixture=mixture))
+        session = cls(folder, options, LwrDigging(**options.task_options()))
         folder.mkdir(parents=True, exist_ok=True)
+        session.task.demonstrations.save_npz(folder / DEMONSTRATIONS)
+        session.task.mixture.save(folder / MIXTURE)
         session.save()
         return session
 
@@ -107,7 +109,8 @@ class Session:
         state = torch.load(folder / STATE, weights_only=True)
         options = LwrDiggingOptions.from_json(state["options"])
         assert isinstance(options, LwrDiggingOptions)
-        session = cls(folder, options)
+        kept = {"demonstrations": folder / DEMONSTRATIONS, "mixture": folder / MIXTURE}
+        session = cls(folder, options, LwrDigging(**options.task_options() | kept))
         session.learner.load_state_dict(state["learner"])
         for name in ("asked", "attempt", "spent", "failed"):
             setattr(session, name, state[name])
