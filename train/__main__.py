@@ -14,6 +14,7 @@ from torchds.errors import TorchdsError
 from train import benchmark
 from train.benchmark_lasa import BenchmarkLasa
 from train.compare import Compare
+from train.deep_rl import DeepRL
 from train.hardware import Hardware
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper import Figures
@@ -25,6 +26,7 @@ def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
     commands: dict[str, Callable[..., Any]] = {
         **TASK_OPTIONS,
+        "deep_rl": DeepRL,
         "figures": Figures,
         "hardware": Hardware,
         "view": View,

@@ -56,10 +56,10 @@ def resume_options(folder: Path) -> RunOptions:
     return TASK_OPTIONS[content["task"]].from_json(content["options"])
 
 
-def new_folder(options: RunOptions) -> Path:
+def new_folder(logdir: Path, task: str, optimizer: str, seed: int) -> Path:
     """Make LOGDIR/<task>/<optimizer>/<time>-<seed>/, a new one in any case."""
-    parent = options.logdir / options.task / options.optimizer
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{options.seed}"
+    parent = logdir / task / optimizer
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}"
     names = (stem if i == 0 else f"{stem}.{i}" for i in range(1000))
     for folder in (parent / name for name in names):
         try:
@@ -82,7 +82,7 @@ def run(options: RunOptions) -> Path:
     check(options)
     learner = Learner(options)
     if folder is None:
-        folder = new_folder(options)
+        folder = new_folder(options.logdir, options.task, options.optimizer, options.seed)
         write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
     elif (folder / CHECKPOINT).is_file():
         learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
