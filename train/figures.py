@@ -43,10 +43,11 @@ def trial(learner: Learner) -> Figure:
     x, reference = (track.reshape(-1, *track.shape[-2:])[0] for track in (path.x, path.reference))
     if (walls := task.scene().walls) is not None:
         plotting.walls(plane, walls)
-    for demonstration in task.source or ():
-        plotting.trajectories(
-            plane, demonstration.x, color=plotting.DEMONSTRATION, label="_nolegend_", lw=0.8, alpha=0.7
-        )
+    grains = path.plant.snapshots.reshape(-1, *path.plant.snapshots.shape[-2:])[0, -1, 7:].reshape(-1, 3)
+    plane.plot(*grains[:, :2].T, "o", color="#b5aea0", ms=4, label="gravel at the end")
+    for i, demonstration in enumerate(task.source or ()):
+        label = "demonstrations" if i == 0 else "_nolegend_"
+        plotting.trajectories(plane, demonstration.x, color=plotting.DEMONSTRATION, label=label, lw=0.8)
     plotting.trajectories(plane, reference, color=plotting.BEFORE, label="reference", lw=1.6)
     plotting.trajectories(plane, x, color=plotting.AFTER, label="tool")
     for i in torch.linspace(0, len(x) - 1, 13).long().tolist():  # the blade
