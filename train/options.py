@@ -49,7 +49,8 @@ class RunOptions:
     """Standard deviation of noise in the cost of each trial, as a share of the initial policy's cost."""
     decay: Literal["inverse", "linear", "exponential", "none"] | None = None
     """Exploration decay. inverse: covariance times max(1/n, 0.1) at update n, as the paper. linear: to a tenth, as the
-    authors' program. exponential: to 15 %. The task's own if not given, exponential with trajectories, none with pi2cma."""
+    authors' program. exponential: to 15 % in 50 updates, or in all if these are fewer. The task's own if not given,
+    exponential with trajectories, none with pi2cma."""
     temperature: Literal["range", "median", "capped"] | None = None
     """The spread of costs that scales the weights. range: the paper's. median: the authors' program's. capped: range
     after capping bad costs. The task's own if not given, capped with trajectories."""

@@ -166,7 +166,7 @@ def make_decay(
     factors: dict[str, Callable[[int], float]] = {
         "inverse": InverseIteration(floor=0.1),
         "linear": LinearDecay(n),
-        "exponential": ExponentialDecay(n, floor=0.15),
+        "exponential": ExponentialDecay(min(n, 50), floor=0.15),
         "none": ExponentialDecay(n, floor=1.0),
     }
     own = "exponential" if along_motion(options) else task.search.decay

@@ -63,7 +63,7 @@ class PI2CMA(PIBB):
         n_rollouts: int = 10,
         lr: float = 1.0,
         *,
-        rate: float = 0.3,
+        rate: float = 0.1,
         lower_bound: float = 1e-4,
         eliteness: float = 10.0,
         temperature: Temperature = "range",
