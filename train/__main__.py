@@ -13,6 +13,7 @@ import tyro
 from torchds.errors import TorchdsError
 from train import benchmark
 from train.benchmark_lasa import BenchmarkLasa
+from train.claims import Claims
 from train.compare import Compare
 from train.deep_rl import DeepRL
 from train.hardware import Hardware
@@ -26,6 +27,7 @@ def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
     commands: dict[str, Callable[..., Any]] = {
         **TASK_OPTIONS,
+        "claims": Claims,
         "deep_rl": DeepRL,
         "figures": Figures,
         "hardware": Hardware,

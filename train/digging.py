@@ -28,6 +28,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 UNIFORM = (75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
 TRIALS = 5
+TRIALS_FILE = "trials.json"
 TRIALS_SEED = 1000  # of the beds of the comparison, which no learning run has met
 Terms = dict[str, list[float]]
 
@@ -45,9 +46,18 @@ class Experiment:
         self.folder, self.seed = folder, seed
         self.options = options if options is not None else LwrDiggingOptions()
 
+    def place(self, learner: str, start: float) -> Path:
+        """Where one learning run stands."""
+        return self.folder / f"{LEARNERS[learner]['optimizer']}-{start:g}"
+
+    def recorded(self) -> dict[str, Terms]:
+        """The trials that are there."""
+        path = self.folder / TRIALS_FILE
+        return json.loads(path.read_text())["trials"] if path.is_file() else {}
+
     def learned(self, learner: str, start: float) -> Path:
         """The folder of one learning run, which is made, continued or found finished."""
-        folder = self.folder / f"{LEARNERS[learner]['optimizer']}-{start:g}"
+        folder = self.place(learner, start)
         options = replace(self.options, **LEARNERS[learner], initial_stiffness=start, seed=self.seed)
         if not (folder / OPTIONS).is_file():
             folder.mkdir(parents=True, exist_ok=True)
@@ -64,9 +74,7 @@ class Experiment:
 
     def trials(self) -> dict[str, Terms]:
         """Costs of TRIALS trials `[TRIALS]` by term, "total" among them, of every uniform stiffness and learned policy."""
-        path = self.folder / "trials.json"
-        content = json.loads(path.read_text()) if path.is_file() else {}
-        measured: dict[str, Terms] = content.get("trials", {})
+        measured = self.recorded()
         runs = {f"{learner}-{start:g}": (learner, start) for learner in LEARNERS for start in STARTS}
         wanted = [f"uniform-{s:g}" for s in UNIFORM] + list(runs)
         for name in tqdm([name for name in wanted if name not in measured], desc="trials", unit="policy"):
@@ -75,7 +83,7 @@ class Experiment:
                 measured[name] = self.measure(start, self.learner(learner, start).policy[0])
             else:
                 measured[name] = self.measure(float(name.removeprefix("uniform-")), None)
-            write_json(path, {"trials": measured, "versions": versions()})
+            write_json(self.folder / TRIALS_FILE, {"trials": measured, "versions": versions()})
         return measured
 
     def measure(self, start: float, policy: GMRPolicy | None) -> Terms:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from torch import Tensor
 
 from train.learning import Learner
 from train.options import TASK_OPTIONS
@@ -35,6 +36,11 @@ def summary(values: Sequence[float]) -> str:
 def below(a: Sequence[float], b: Sequence[float]) -> float:
     """P of the one-sided Mann-Whitney test that `a` tends to be smaller than `b`."""
     return float(scipy.stats.mannwhitneyu(a, b, alternative="less").pvalue)
+
+
+def via_distances(x: Tensor, points: Tensor) -> Tensor:
+    """Smallest distance of motions `x` `(..., T+1, D)` to each via-point `(L, D)`, `(..., L)`."""
+    return (x[..., 1:, None, :] - points).norm(dim=-1).amin(-2)
 
 
 def boxes(axes: Axes, samples: Mapping[str, Sequence[float]], ylabel: str) -> None:

@@ -15,7 +15,7 @@ from tasks import DivergentField
 from torchds import GMRPolicy, Rollout, plotting
 from train.figures import draw_curves
 from train.learning import Learner
-from train.paper.base import Made, below, boxes, learned, summary
+from train.paper.base import Made, below, boxes, learned, summary, via_distances
 
 AXES = ("1", "2")
 
@@ -70,7 +70,8 @@ def figure_10(runs: int, seed: int) -> Made:
     path, history = final(learner), learner.history
     figure = stiffness_figure(learner, path.x, f"Actual motions of {runs} runs after {history.rollouts[-1]} roll-outs")
     before = learner.task.rollout(learner.initial).x
-    distance = {name: via_distance(learner.task, x) for name, x in {"before": before, "after": path.x}.items()}
+    (points,) = learner.task.scene().via_points.values()
+    distance = {name: via_distances(x, points) for name, x in {"before": before, "after": path.x}.items()}
     mean = path.plant.stiffness[..., 1:, :].mean((0, 1))
     return Made(
         figure,
@@ -132,7 +133,7 @@ def figure_13(runs: int, seed: int) -> Made:
     order = np.argsort(learner.history.cost[-1])
     typical = int(order[(len(order) - 1) // 2])
     figure = stiffness_figure(learner, path.x[typical], "Median run: with and without the force", executions=True)
-    inside, outside = stiffness_by_half(path)
+    inside, outside = (half.mean(0) for half in stiffness_by_half(path))
     return Made(
         figure,
         "Above left, the motions of the median run with and without the force; right, the applied stiffness along the "
@@ -234,18 +235,12 @@ def draw_stiffness_map(figure: Figure, axes: Axes, policy: GMRPolicy, task: task
     plotting.finish_map(axes, f"State-dependent stiffness, axis {AXES[d]}", task.scene().unit)
 
 
-def via_distance(task: tasks.Task, x: Tensor) -> Tensor:
-    """Smallest distance to each via-point `(*batch, L)` [m]."""
-    (points,) = task.scene().via_points.values()
-    return (x[..., 1:, None, :] - points).norm(dim=-1).amin(-2)
-
-
-def stiffness_by_half(path: Rollout) -> tuple[list[float], list[float]]:
-    """Mean applied stiffness of each axis where the force can be, and elsewhere, over runs and executions [N/m]."""
+def stiffness_by_half(path: Rollout) -> tuple[Tensor, Tensor]:
+    """Mean applied stiffness `(runs, D)` of each axis where the force can be, and elsewhere, over executions [N/m]."""
     s = path.plant.stiffness[..., 1:, :]
     there = (path.plant.x[..., 1:, :1] > -5).to(s)
 
-    def mean(weight: Tensor) -> list[float]:
-        return ((s * weight).sum((0, 1, 2)) / weight.sum((0, 1, 2))).tolist()
+    def mean(weight: Tensor) -> Tensor:
+        return (s * weight).sum((1, 2)) / weight.sum((1, 2))
 
     return mean(there), mean(1 - there)

@@ -75,13 +75,13 @@ class Variant(NamedTuple):
         cost: `(U+1, levels, runs)` of the noise-free policies.
         stable: `(levels,)` final policies that satisfy the condition.
         colliding: `(levels,)` final policies that collide.
-        share: `(levels,)` of the roll-outs, over the whole learning, that collide.
+        share: `(levels, runs)` of the roll-outs, over the whole learning, that collide.
     """
 
     cost: np.ndarray
     stable: list[int]
     colliding: list[int]
-    share: list[float]
+    share: np.ndarray
 
 
 def explore(task: tasks.Task, policy: GMRPolicy, name: str, std: Tensor) -> Exploration:
@@ -132,7 +132,7 @@ def learn(task: tasks.Task, name: str, runs: int, seed: int) -> Variant:
         np.asarray(learner.history.cost).reshape(-1, *by_level),
         certificate.stable.reshape(by_level).sum(-1).tolist(),
         task.rollout(learner.policy).stopped.reshape(by_level).sum(-1).tolist(),
-        torch.stack(collisions).mean(0).reshape(by_level).mean(-1).tolist(),
+        torch.stack(collisions).mean(0).reshape(by_level).numpy(),
     )
 
 
@@ -181,7 +181,7 @@ def caption_8(variants: dict[str, Variant], runs: int) -> str:
         cells = []
         for v in (variants[name] for name in swept):
             medians = " → ".join(f"{np.median(v.cost[u, i]):.3g}" for u in (early, -1))
-            cells.append(f"{medians}; {v.stable[i]}, {v.colliding[i]}; {100 * v.share[i]:.0f} %")
+            cells.append(f"{medians}; {v.stable[i]}, {v.colliding[i]}; {100 * v.share[i].mean():.0f} %")
         p_free = ", ".join(f"{below(stable.cost[u, i], variants[FREE].cost[u, i]):.1e}" for u in (early, -1))
         p_tied = below(stable.cost[-1, i], variants[TIED].cost[-1, i])
         lines.append(f"| {level} | {' | '.join(cells)} | {p_free} | {p_tied:.2f} |")
