@@ -28,7 +28,7 @@ LADDER = [
     {"policy", "trainable"},
     {"plants", "cartesian"},
     {"impedance", "rollouts"},
-    {"sensitivity", "fits"},
+    {"sensitivity", "fits", "recruiting"},
     {"exploration"},
     {"optim", "plotting"},
 ]

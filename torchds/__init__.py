@@ -50,6 +50,8 @@ from torchds.recordings import load_csv as load_csv
 from torchds.recordings import load_lasa as load_lasa
 from torchds.recordings import load_mat as load_mat
 from torchds.recordings import load_npz as load_npz
+from torchds.recruiting import most_wanted as most_wanted
+from torchds.recruiting import recruit as recruit
 from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout
@@ -76,8 +78,10 @@ __all__ = [
     "load_mat",
     "load_npz",
     "metrics",
+    "most_wanted",
     "optim",
     "plants",
+    "recruit",
     "rollout",
     "stability",
     "visits",

@@ -13,6 +13,7 @@ import tyro
 from torchds.errors import TorchdsError
 from train import benchmark
 from train.benchmark_lasa import BenchmarkLasa
+from train.beyond import Beyond
 from train.claims import Claims
 from train.compare import Compare
 from train.deep_rl import DeepRL
@@ -33,6 +34,7 @@ def main() -> int:
         "hardware": Hardware,
         "view": View,
         "compare": Compare,
+        "beyond": Beyond,
         "benchmark": benchmark.Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }

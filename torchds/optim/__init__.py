@@ -6,6 +6,7 @@ from torchds.optim.base import Update as Update
 from torchds.optim.pi2 import PI2 as PI2
 from torchds.optim.pi2cma import PI2CMA as PI2CMA
 from torchds.optim.pibb import PIBB as PIBB
+from torchds.optim.repeats import repeated as repeated
 from torchds.optim.schedules import ExponentialDecay as ExponentialDecay
 from torchds.optim.schedules import InverseIteration as InverseIteration
 from torchds.optim.schedules import LinearDecay as LinearDecay
@@ -22,4 +23,5 @@ __all__ = [
     "SurrogatePIBB",
     "Update",
     "functional",
+    "repeated",
 ]

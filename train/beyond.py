@@ -1,0 +1,220 @@
+"""What the paper leaves to others, measured at equal numbers of trajectories: `python -m train beyond`."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import scipy.stats
+from tqdm import tqdm
+
+import tasks
+from torchds import GaussianMixture
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.optim import PolicySearch, repeated
+from torchds.recruiting import most_wanted, recruit
+from train.learning import Learner
+from train.options import TASK_OPTIONS, RunOptions
+from train.records import versions, write_json
+from train.searchers import make_closure, make_decay, make_optimizer
+from train.starts import one_start
+
+Experiment = Literal["recruit", "noise", "starts"]
+LEARNERS: dict[str, dict[str, Any]] = {
+    "PI^BB": {},
+    "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
+}
+"""Options of the learners: the paper's, and `--optimizer surrogate --exploration trajectory`."""
+
+NOISE = (0.0, 0.05, 0.2, 0.5)
+"""Standard deviations of noise in the cost of a trial, as shares of the initial policy's cost."""
+SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (20, 12, 2), (10, 10, 5), (20, 6, 4))
+"""Policies of an update, updates and trials of each policy: 500 trials or a little less."""
+
+
+class Way(NamedTuple):
+    """One row to be.
+
+    Attributes:
+        group: what it is compared in; the first way of a group is the paper's.
+        label: its name there.
+        options: of the learner.
+        n_components: K; None for the task's own.
+        change: what is done to the learner before it learns.
+        grow: shares of the updates after which Gaussians are recruited.
+        trajectories: of each roll-out.
+    """
+
+    group: str
+    label: str
+    options: RunOptions
+    n_components: int | None = None
+    change: Callable[[Learner], None] | None = None
+    grow: Sequence[float] = ()
+    trajectories: int = 1
+
+
+@dataclass
+class Beyond:
+    """Recruiting Gaussians, noise in the system, and one start a trial, each against the paper's way."""
+
+    experiments: tuple[Experiment, ...] = get_args(Experiment)
+    """recruit: new Gaussians where the motion needs them. noise: policies or repeats. starts: one start a trial."""
+    runs: int = 20
+    """Learning runs of each row, in one batch."""
+    seed: int = 0
+    """Of the exploration noise."""
+    width: float = 2.0
+    """Of the recruited Gaussians [position unit of the task]."""
+    budget: float = 1.0
+    """Share of each task's updates; less than one for a quick look."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where to write: LOGDIR/beyond/."""
+
+    def main(self) -> Path:
+        """Run, write tables and costs, and return their folder.
+
+        Raises:
+            InvalidArgumentError: numbers out of range.
+            UnknownNameError: an experiment that does not exist.
+        """
+        for name in self.experiments:
+            if name not in get_args(Experiment):
+                raise UnknownNameError("experiment", name, get_args(Experiment))
+        if self.runs < 2 or not 0 < self.budget <= 1 or not self.width > 0:
+            raise InvalidArgumentError(
+                f"--runs of at least 2, a --budget in (0, 1] and a positive --width are needed, got {self.runs}, "
+                f"{self.budget} and {self.width}"
+            )
+        folder = self.logdir / "beyond" / time.strftime("%Y%m%d-%H%M%S")
+        folder.mkdir(parents=True)
+        lines = [
+            "# Beyond the paper",
+            "",
+            f"Cost of the noise-free policy after the last update: median and quartiles of {self.runs} seeds; p of the "
+            "two-sided Mann-Whitney test against the first row of the group.",
+        ]
+        found: dict[str, list[dict[str, Any]]] = {}
+        for experiment in self.experiments:
+            ways = list(getattr(self, experiment)())
+            results = [self.final(way) for way in tqdm(ways, unit="row", desc=experiment, dynamic_ncols=True)]
+            first = {way.group: costs for way, (_, costs) in reversed(list(zip(ways, results, strict=True)))}
+            lines += [
+                "",
+                f"## {experiment}",
+                "",
+                "| | way | trajectories | median | q1 | q3 | p |",
+                "|---|---|---|---|---|---|---|",
+            ]
+            for way, (trajectories, costs) in zip(ways, results, strict=True):
+                q1, median, q3 = np.quantile(costs, [0.25, 0.5, 0.75])
+                base = first[way.group]
+                p = "" if base is costs else f"{scipy.stats.mannwhitneyu(costs, base).pvalue:.1g}"
+                lines.append(
+                    f"| {way.group} | {way.label} | {trajectories} | {median:.3g} | {q1:.3g} | {q3:.3g} | {p} |"
+                )
+                row = {"group": way.group, "way": way.label, "trajectories": trajectories, "cost": costs}
+                found.setdefault(experiment, []).append(row)
+        text = "\n".join(lines) + "\n"
+        (folder / "report.md").write_text(text)
+        write_json(folder / "costs.json", {"versions": versions(), "rows": found})
+        print(text)
+        print(f"report.md and costs.json in {folder}")
+        return folder
+
+    def final(self, way: Way) -> tuple[int, list[float]]:
+        """Trajectories spent, and the final costs of the runs."""
+        options: dict[str, Any] = {} if way.n_components is None else {"mixture": fitted(way.options, way.n_components)}
+        task = tasks.make(way.options.task, **{**way.options.task_options(), **options})
+        learner = Learner(way.options, task)
+        if way.change is not None:
+            way.change(learner)
+        due = [round(share * learner.n_updates) for share in way.grow]
+        learner.start()
+        while learner.done < learner.n_updates:
+            if learner.done in due:
+                grow(learner, self.width)
+            learner.update()
+        return learner.history.rollouts[-1] * way.trajectories, learner.history.cost[-1]
+
+    def options(self, task: str, updates: int, **more: Any) -> RunOptions:
+        """The options of one row."""
+        return TASK_OPTIONS[task](runs=self.runs, seed=self.seed, updates=max(1, round(self.budget * updates)), **more)
+
+    # ------------------------------------------------------------------ the experiments
+
+    def recruit(self) -> Iterator[Way]:
+        """Few Gaussians, the same with recruiting, and as many from the beginning."""
+        problems: list[tuple[str, dict[str, Any], int, int]] = [
+            ("via_point", {"shape": "N"}, 3, 50),
+            ("via_point", {"shape": "P"}, 3, 50),
+            ("two_starts", {}, 3, 200),
+            ("two_starts", {}, 6, 200),
+        ]
+        for task, own, K, updates in problems:
+            for learner, how in LEARNERS.items():
+                group = f"{own.get('shape', task)}, K = {K}, {learner}"
+                options, trajectories = self.options(task, updates, **own, **how), 1 + (task == "two_starts")
+                way = Way(group, "frozen, as in the paper", options, K, trajectories=trajectories)
+                yield way
+                yield way._replace(label="recruits at 1/8", grow=(1 / 8,))
+                yield way._replace(label="recruits at 1/2", grow=(1 / 2,))
+                yield way._replace(label=f"frozen, K = {2 * K}", n_components=2 * K)
+
+    def noise(self) -> Iterator[Way]:
+        """Policies or repeats, under noise of several sizes."""
+        for std in NOISE:
+            for learner, how in LEARNERS.items():
+                for n, updates, repeats in SPLITS:
+                    label = f"{n} policies × {repeats} trials × {updates} updates"
+                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **how)
+                    yield Way(
+                        f"noise {std}, {learner}", label, options, change=partial(repeat, repeats), trajectories=repeats
+                    )
+
+    def starts(self) -> Iterator[Way]:
+        """Both starts in each trial, or one, at equal numbers of trajectories."""
+        for learner, how in LEARNERS.items():
+            group = f"two_starts, {learner}"
+            yield Way(group, "both starts, as in the paper", self.options("two_starts", 200, **how), trajectories=2)
+            for n, updates in ((40, 200), (20, 400)):
+                options = self.options("two_starts", updates, rollouts=n, **how)
+                yield Way(group, f"one start: {n} policies × {updates} updates", options, change=one_each)
+
+
+def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
+    """A mixture of another number of Gaussians over the task's own demonstrations."""
+    return GaussianMixture.fit(tasks.make(options.task, **options.task_options()).demonstrations, n_components)
+
+
+def repeat(repeats: int, learner: Learner) -> None:
+    """Try each policy several times."""
+    learner.closure = repeated(learner.closure, learner.policy.parameters(), repeats)
+
+
+def one_each(learner: Learner) -> None:
+    """Try each policy from one start only."""
+    optim = learner.optim
+    assert isinstance(optim, PolicySearch)
+    learner.closure = one_start(learner.task, learner.policy, optim.n_rollouts, optim.param_groups[0]["temperature"])
+
+
+def grow(learner: Learner, width: float) -> None:
+    """Recruit Gaussians where the motion of each run needs them, and learn on; noise and decay go on where they were."""
+    task, options, before, decay = learner.task, learner.options, learner.optim, learner.decay
+    assert isinstance(before, PolicySearch) and decay is not None and learner.path is not None
+    learner.policy = recruit(learner.policy, most_wanted(learner.path, task.cost), width)
+    learner.optim = optim = make_optimizer(options, task, learner.policy)
+    assert isinstance(optim, PolicySearch)
+    learner.decay = make_decay(options, task, optim)
+    assert learner.decay is not None
+    optim.generator = before.generator
+    learner.decay.load_state_dict(copy.deepcopy(decay.state_dict()))
+    optim.param_groups[0]["lr"] = before.param_groups[0]["lr"]
+    learner.closure = make_closure(optim, task, learner.policy)
