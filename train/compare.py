@@ -184,8 +184,9 @@ class Compare:
 
         What is on the disk is found by its options alone; after a change of the code give another --logdir.
         """
-        plain = {name: value for name, value in options.to_json().items() if name != "logdir"}
-        key = hashlib.sha256(json.dumps([options.task, plain], sort_keys=True).encode()).hexdigest()[:16]
+        usual = type(options)().to_json()  # left out of the name: an option that is added later changes no names
+        own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
+        key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
         folder = self.logdir / "compare" / "runs" / options.task / f"{options.optimizer}-{key}"
         if (folder / RESULTS).is_file():
             return json.loads((folder / RESULTS).read_text())
