@@ -258,7 +258,7 @@ def test_two_claims_are_measured_and_all_tables_agree(two_updates, tmp_path, cap
     page = kept.read_text()
     assert page == (tmp_path / "claims" / "claims.md").read_text()
     assert "python -m train claims --only pibb-below-pi2 noise-within-half --runs 3 --seed 0" in page
-    assert "torch" in page and re.search(r"on \d{4}-\d\d-\d\d with", page) and "this page is a trial" in page
+    assert "torch" in page and re.search(r"on \d{4}-\d\d-\d\d with", page) and "this is a trial" in page
     records, shown = read(tmp_path / "claims" / "claims.csv"), capsys.readouterr().out
     assert len(records) == sum(len(row.checks) for row in rows) == 4
     for name in names:

@@ -91,7 +91,7 @@ class Claims:
         for path in (folder / "claims.md", *(() if self.keep is None else (self.keep,))):
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(path, lambda temporary: temporary.write_text(page))
-        print(report.terminal(rows))
+        print(report.terminal(rows, self.runs))
         print(f"claims.md and claims.csv in {folder}")
         return rows
 

@@ -73,24 +73,26 @@ def tally(rows: Sequence[Row]) -> str:
     return ", ".join(f"{counts[name]} {name}" for name in (HELD, IN_PART, NOT_HELD, NOT_MEASURED) if counts[name])
 
 
-def terminal(rows: Sequence[Row]) -> str:
+def caution(runs: int) -> str:
+    """What to say of too few runs."""
+    if runs >= SMALLEST:
+        return ""
+    return f" With {runs} runs no sign test can reach p < {ALPHA:g}, it takes {SMALLEST}: this is a trial."
+
+
+def terminal(rows: Sequence[Row], runs: int) -> str:
     """Verdict and claim, each with its checks below."""
     width = max(len(row.claim.id) for row in rows)
     lines = []
     for row in rows:
         lines.append(f"{verdict(row.checks):<17} {row.claim.id:<{width}}  {row.claim.where}")
         lines += [f"    {line(check)}" for check in row.checks] or [f"    measure it with: {row.command}"]
-    return "\n".join([*lines, tally(rows)])
+    return "\n".join([*lines, f"{tally(rows)}.{caution(runs)}"])
 
 
 def markdown(rows: Sequence[Row], runs: int, command: str) -> str:
     """The page."""
     n_tests = sum(check.p is not None for row in rows for check in row.checks)
-    few = (
-        f" With {runs} runs no sign test can reach that threshold, it takes {SMALLEST}: this page is a trial."
-        if runs < SMALLEST
-        else ""
-    )
     table = [
         "| claim | where | what the paper says; what it takes to hold | measured | verdict |",
         "|---|---|---|---|---|",
@@ -111,7 +113,7 @@ def markdown(rows: Sequence[Row], runs: int, command: str) -> str:
         "independent samples by Mann-Whitney, before against after (→) by a sign test over runs, with δ over pairs. A number "
         "holds within the bounds beside it; cases that can be counted hold if all do, unless said. A claim is held if all of "
         f"its checks (+) hold, held in part if some do, and not held if none does. There are {n_tests} tests on this page, and "
-        f"p is not corrected for that.{few} The tasks fill in what the paper leaves out: geometry, via-points and "
+        f"p is not corrected for that.{caution(runs)} The tasks fill in what the paper leaves out: geometry, via-points and "
         "demonstrations are our own. The digging rows are of a simulated robot, one learning run from each stiffness and five "
         "trials.\n\n"
         "## Claims\n\n" + "\n".join(table) + "\n"
