@@ -32,10 +32,10 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 """Options of the learners: the paper's, and `--optimizer surrogate --exploration trajectory`."""
 
-NOISE = (0.0, 0.05, 0.2, 0.5)
+NOISE = (0.0, 0.1, 0.5)
 """Standard deviations of noise in the cost of a trial, as shares of the initial policy's cost."""
-SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (20, 12, 2), (10, 10, 5), (20, 6, 4))
-"""Policies of an update, updates and trials of each policy: 500 trials or a little less."""
+SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (10, 10, 5))
+"""Policies of an update, updates, and trials of each policy: 500 trials."""
 
 
 class Way(NamedTuple):
@@ -151,21 +151,22 @@ class Beyond:
 
     def recruit(self) -> Iterator[Way]:
         """Few Gaussians, the same with recruiting, and as many from the beginning."""
-        problems: list[tuple[str, dict[str, Any], int, int]] = [
-            ("via_point", {"shape": "N"}, 3, 50),
-            ("via_point", {"shape": "P"}, 3, 50),
-            ("two_starts", {}, 3, 200),
-            ("two_starts", {}, 6, 200),
+        problems: list[tuple[str, dict[str, Any], str]] = [
+            ("via_point", {"shape": "N"}, "PI^BB"),
+            ("via_point", {"shape": "P"}, "PI^BB"),
+            ("via_point", {"shape": "N"}, "recommended"),
+            ("via_point", {"shape": "P"}, "recommended"),
+            ("two_starts", {}, "PI^BB"),
         ]
-        for task, own, K, updates in problems:
-            for learner, how in LEARNERS.items():
-                group = f"{own.get('shape', task)}, K = {K}, {learner}"
-                options, trajectories = self.options(task, updates, **own, **how), 1 + (task == "two_starts")
-                way = Way(group, "frozen, as in the paper", options, K, trajectories=trajectories)
-                yield way
-                yield way._replace(label="recruits at 1/8", grow=(1 / 8,))
-                yield way._replace(label="recruits at 1/2", grow=(1 / 2,))
-                yield way._replace(label=f"frozen, K = {2 * K}", n_components=2 * K)
+        for task, own, learner in problems:
+            group = f"{own.get('shape', task)}, {learner}"
+            two = task == "two_starts"
+            options = self.options(task, 100 if two else 50, **own, **LEARNERS[learner])
+            way = Way(group, "3, frozen, as in the paper", options, 3, trajectories=1 + two)
+            yield way
+            yield way._replace(label="3, and 3 more after 1/8 of the updates", grow=(1 / 8,))
+            yield way._replace(label="3, and 3 more after 1/2 of the updates", grow=(1 / 2,))
+            yield way._replace(label="6, frozen", n_components=6)
 
     def noise(self) -> Iterator[Way]:
         """Policies or repeats, under noise of several sizes."""
@@ -182,8 +183,8 @@ class Beyond:
         """Both starts in each trial, or one, at equal numbers of trajectories."""
         for learner, how in LEARNERS.items():
             group = f"two_starts, {learner}"
-            yield Way(group, "both starts, as in the paper", self.options("two_starts", 200, **how), trajectories=2)
-            for n, updates in ((40, 200), (20, 400)):
+            yield Way(group, "both starts, as in the paper", self.options("two_starts", 100, **how), trajectories=2)
+            for n, updates in ((40, 100), (20, 200)):
                 options = self.options("two_starts", updates, rollouts=n, **how)
                 yield Way(group, f"one start: {n} policies × {updates} updates", options, change=one_each)
 

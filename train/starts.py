@@ -52,9 +52,8 @@ def comparable(costs: Tensor, n_starts: int, temperature: Temperature) -> Tensor
     each = costs.unflatten(0, (-1, n_starts))  # (N/S, S, *batch)
     relative = relative_costs(each, temperature)
     low = torch.where(each.isfinite(), each, torch.inf).amin(0)
-    spread = (
-        torch.where(relative > 0, (each - low) / relative, torch.inf).nan_to_num(torch.inf).amin(0)
-    )  # capped ones: more
+    above = torch.where((relative > 0) & relative.isfinite(), (each - low) / relative, torch.inf)
+    spread = above.amin(0)  # capped costs have more above them
     spread = torch.where(spread.isfinite(), spread, 0.0)
     scaled = low.mean(0) + spread.mean(0) * relative
     return torch.where(each.isfinite(), scaled, torch.inf).flatten(0, 1)
