@@ -56,7 +56,7 @@ class RunOptions:
     after capping bad costs. The task's own if not given, capped with trajectories."""
     elite: Literal["none", "nominal", "best"] | None = None
     """What the first roll-out of an update is: a perturbed policy, the unperturbed one, or the best so far; the task's
-    own if not given."""
+    own if not given, nominal with surrogate."""
     convention: Literal["paper", "released"] = "paper"
     """The problem as the paper prints it, or as the authors' program runs it, where a task has both."""
     demonstrations: Path | None = None

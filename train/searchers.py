@@ -93,7 +93,7 @@ def make_optimizer(options: RunOptions, task: Task, policy: GMRPolicy) -> Policy
         exploration=make_exploration(options, task, policy),
         n_rollouts=n_rollouts(options, task),
         temperature=options.temperature or ("capped" if along else task.search.temperature),
-        elite=options.elite or task.search.elite,
+        elite=options.elite or ("nominal" if options.optimizer == "surrogate" else task.search.elite),
         control_weight=task.search.control_weight,
         generator=torch.Generator().manual_seed(options.seed),
     )

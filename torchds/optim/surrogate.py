@@ -34,7 +34,8 @@ class SurrogatePIBB(PIBB):
         temperature: see `PIBB`.
         control_weight: see `PIBB`.
         control_reference: see `PIBB`.
-        elite: see `PIBB`; the elite takes the place of one of the N.
+        elite: see `PIBB`; it takes the place of the last of the N. "nominal" unless said otherwise: what the policy itself
+            costs is the best anchor of the predictions, and brings it back where it meets a wall that they do not know.
         batched: see `PIBB`.
         generator: see `PIBB`.
 
@@ -65,7 +66,7 @@ class SurrogatePIBB(PIBB):
         temperature: Temperature = "capped",
         control_weight: float = 0.0,
         control_reference: Literal["demonstrated", "zero"] = "demonstrated",
-        elite: Literal["none", "nominal", "best"] = "none",
+        elite: Literal["none", "nominal", "best"] = "nominal",
         batched: bool = True,
         generator: torch.Generator | None = None,
     ) -> None:
@@ -105,7 +106,8 @@ class SurrogatePIBB(PIBB):
             both = [torch.cat([self.state[p]["tried"] - p, e]) for p, e in zip(params, noise, strict=True)]
             coordinates += [x.reshape(*x.shape[: costs.ndim], -1) for x in exploration.measure(params, both)]
         tried, untried = torch.cat(coordinates, -1).tensor_split([len(costs)])
-        best = predict_costs(tried, costs, untried).topk(self.n_rollouts, dim=0, largest=False).indices  # (N, *batch)
+        best = predict_costs(tried, costs, untried).topk(self.n_rollouts, dim=0, largest=False).indices
+        best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
         return [
             [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
             for noise in drawn

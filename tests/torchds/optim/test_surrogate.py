@@ -24,7 +24,13 @@ def make(batch=(), seed=0, cls=SurrogatePIBB, **options):
     """Six numbers in two parameters, and how far they are from where they should be."""
     a = nn.Parameter(torch.zeros(*batch, 2, 2, dtype=torch.float64))
     b = nn.Parameter(torch.zeros(*batch, 2, dtype=torch.float64))
-    options = {"n_rollouts": 8, "temperature": "capped", "generator": torch.Generator().manual_seed(seed), **options}
+    options = {
+        "n_rollouts": 8,
+        "temperature": "capped",
+        "elite": "none",
+        "generator": torch.Generator().manual_seed(seed),
+        **options,
+    }
     return cls([a, b], Gaussian(0.2), **options), closure_of([a, b])
 
 
@@ -121,6 +127,23 @@ def test_it_needs_fewer_roll_outs_than_pibb():
         with torch.no_grad():
             final.append(float(closure().median()))
     assert final[0] < 0.5 * final[1]
+
+
+def test_the_policy_itself_takes_the_place_of_the_last_choice():
+    one, other = make(elite="nominal"), make()
+    for optim, closure in (one, other):
+        optim.step(closure)
+    for p, q in zip(one[0].param_groups[0]["params"], other[0].param_groups[0]["params"], strict=True):
+        p.data = q.data.clone()
+        for name in ("tried", "tried_cost"):
+            if name in other[0].state[q]:
+                one[0].state[p][name] = other[0].state[q][name].clone()
+    costs = []
+    for optim, _ in (one, other):
+        a, b = optim.ask()
+        costs.append((torch.cat([a.flatten(-2), b], -1) - TARGET).square().sum(-1))
+    assert_close(costs[0][1:], costs[1][1:], rtol=0, atol=0)
+    assert_close(costs[0][0], one[1]().detach(), rtol=0, atol=0)
 
 
 def test_runs_choose_for_themselves():
