@@ -25,13 +25,14 @@ COLORS = {
     "pibb": "black",
     "pi2": "#7a7a7a",
     "pi2cma": "#e8a33d",
+    "surrogate": "#c2185b",
     "nes": "#8d6cc3",
     "cma": "#2a9d5c",
     "cobyqa": "#1f5fa8",
     "finite_differences": "#4bb3c2",
     "adam": "#c8201e",
     "sgd": "#f08a7e",
-    "lbfgs": "#8a1a4a",
+    "lbfgs": "#6d1b1b",
 }
 OTHERS = ("#c98a1b", "#8a5a3c", "#b03a8c", "#5f7d3a")  # of rows that were added
 
@@ -196,19 +197,19 @@ def colors(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def curves(rows: Sequence[Row]) -> Figure:
-    """Median cost against roll-outs, a row of panels per problem: plain on the left, along the motion on the right."""
+    """Median cost against roll-outs, a row of panels per problem: plain on the left, along the motion beside it."""
     shown = [row for row in rows if not row.refused]
     problems, color = by_problem(shown), colors(rows)
-    figure = Figure(figsize=(12.5, 0.8 + 3.6 * max(len(problems), 1)), layout="constrained")
-    panels = figure.subplots(max(len(problems), 1), 2, sharey="row", squeeze=False)
-    for (problem, members), (left, right) in zip(problems.items(), panels, strict=True):
-        for axes, kind in ((left, "plain"), (right, "along the motion")):
-            chosen = [row for row in members if row.label.endswith(", trajectory") == (kind != "plain")]
+    kinds = sorted({row.label.endswith(", trajectory") for row in shown}) or [False]
+    figure = Figure(figsize=(2 + 5.2 * len(kinds), 0.8 + 3.6 * max(len(problems), 1)), layout="constrained")
+    panels = figure.subplots(max(len(problems), 1), len(kinds), sharey="row", squeeze=False)
+    for (problem, members), line in zip(problems.items(), panels, strict=False):
+        for axes, along in zip(line, kinds, strict=True):
+            chosen = [row for row in members if row.label.endswith(", trajectory") == along]
             draw(axes, chosen, color, reference_level(members))
-            axes.set_title(f"{problem}: {kind}", fontsize=10)
-        left.set_ylabel("cost without noise")
-        right.set_xlabel("roll-outs")
-        left.set_xlabel("roll-outs")
+            axes.set_title(f"{problem}: {'along the motion' if along else 'plain'}", fontsize=10)
+            axes.set_xlabel("roll-outs")
+        line[0].set_ylabel("cost without noise")
     handles = {
         label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
