@@ -140,6 +140,15 @@ class CartesianImpedance:
         self.stiffness_outside = stiffness_outside
         self.damping_ratio = damping_ratio
         self.posture_stiffness, self.posture_damping = posture_stiffness, posture_damping
+        # K = fixed + share s, the diagonal; and the twists of the plane's three velocities
+        first, second, normal, sign = _PLANES[plane]
+        self._share, self._fixed = torch.zeros(2, 6, dtype=chain.dtype)
+        self._fixed[:3], self._fixed[3:] = stiffness_outside
+        self._fixed[[first, second, 3 + normal]] = 0.0
+        self._share[[first, second]], self._share[3 + normal] = 1.0, rotation_scale
+        self._directions = torch.zeros(3, 6, dtype=chain.dtype)
+        self._directions[0, first] = self._directions[1, second] = 1.0
+        self._directions[2, 3 + normal] = sign
 
     def __call__(
         self, q: Tensor, v: Tensor, mass: Tensor, bias: Tensor, reference: PlaneReference, stiffness: Tensor | float
@@ -201,36 +210,28 @@ class CartesianImpedance:
     # ------------------------------------------------------------------ the plane
 
     def _stiffness(self, s: Tensor) -> Tensor:
-        first, second, normal, _ = _PLANES[self.plane]
-        along, about = (torch.full_like(s, k) for k in self.stiffness_outside)
-        linear, angular = [along] * 3, [about] * 3
-        linear[first] = linear[second] = s
-        angular[normal] = self.rotation_scale * s
-        return torch.stack(linear + angular, -1)
+        return torch.addcmul(self._fixed.to(s.device), s.unsqueeze(-1), self._share.to(s.device))
 
     def _state(self, pose: Tensor) -> tuple[Tensor, Tensor]:
         first, second, _, _ = _PLANES[self.plane]
         angle = torch.atan2(pose[..., second, first], pose[..., first, first])
-        return pose[..., (first, second), 3], angle
+        return torch.stack([pose[..., first, 3], pose[..., second, 3]], -1), angle
 
     def _velocity(self, reference: PlaneReference, q: Tensor) -> Tensor:
-        first, second, normal, sign = _PLANES[self.plane]
-        xdot = q.new_zeros(*q.shape[:-1], 6)
-        xdot[..., first], xdot[..., second] = reference.v[..., 0], reference.v[..., 1]
-        xdot[..., 3 + normal] = sign * reference.rate
-        return xdot
+        planar = torch.cat([reference.v, reference.rate.unsqueeze(-1)], -1)
+        return planar @ self._directions.to(q.device)
 
     def _error(self, pose: Tensor, reference: PlaneReference) -> Tensor:
         """The rotation is exact up to half a turn, where the shorter way is not defined."""
         first, second, normal, _ = _PLANES[self.plane]
         position = torch.full_like(pose[..., :3, 3], self.offset)
         position[..., first], position[..., second] = reference.x[..., 0], reference.x[..., 1]
-        wanted = torch.zeros_like(pose[..., :3, :3])
-        wanted[..., first, first] = wanted[..., second, second] = torch.cos(reference.angle)
-        wanted[..., second, first] = torch.sin(reference.angle)
-        wanted[..., first, second] = -wanted[..., second, first]
-        wanted[..., normal, normal] = 1.0
-        turn = wanted @ pose[..., :3, :3].mT
+        # wanted R(angle) times the transposed orientation, row by row
+        cos, sin = torch.cos(reference.angle).unsqueeze(-1), torch.sin(reference.angle).unsqueeze(-1)
+        along, across = pose[..., :3, first], pose[..., :3, second]
+        rows = [pose[..., :3, normal]] * 3
+        rows[first], rows[second] = cos * along - sin * across, sin * along + cos * across
+        turn = torch.stack(rows, -2)
         twice = torch.stack(
             [
                 turn[..., 2, 1] - turn[..., 1, 2],

@@ -121,10 +121,19 @@ class Scenes:
         return torch.from_numpy(self._bias[:, : lwr.N_JOINTS].copy())
 
     @property
-    def force(self) -> Tensor:
-        """`(N, 3)` with which the gripper holds the shovel, in the base frame [N]; at rest its weight and load, upwards."""
-        frame = self._frames[:, self._ft].reshape(self.n, 3, 3)
-        return torch.from_numpy(np.einsum("nij,nj->ni", frame, self._sensors[:, :3]))
+    def reading(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the force sensor: its frame `(N, 9)` in the base frame, and the force in it `(N, 3)` [N]; see `force`."""
+        return self._frames[:, self._ft].copy(), self._sensors[:, :3].copy()
+
+    @staticmethod
+    def force(frame: np.ndarray, sensed: np.ndarray) -> Tensor:
+        """`(..., 3)` with which the gripper holds the shovel, in the base frame [N]; at rest its weight and load, upwards.
+
+        Args:
+            frame: `(..., 9)` of one reading or many.
+            sensed: `(..., 3)` beside it [N].
+        """
+        return torch.from_numpy(np.einsum("...ij,...j->...i", frame.reshape(*frame.shape[:-1], 3, 3), sensed))
 
     @property
     def grains(self) -> Tensor:

@@ -101,7 +101,7 @@ def dig(
         raise InvalidArgumentError(f"reference has to be (T+1, 3) or ({N}, T+1, 3), got {tuple(reference.shape)}")
     if tuple(stiffness.shape) not in ((), (N,), (N, n_steps)):
         raise InvalidArgumentError(f"stiffness has to be (), ({N},) or ({N}, {n_steps}), got {tuple(stiffness.shape)}")
-    with torch.no_grad():
+    with torch.inference_mode():
         reference = reference.detach().to(torch.float64).expand(N, -1, -1)
         s = stiffness.detach().to(torch.float64)
         s = (s if s.ndim == 2 else s.unsqueeze(-1)).expand(N, n_steps)
@@ -110,7 +110,7 @@ def dig(
         # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
         control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
         scenes.reset(q, seeds)
-        poses, forces, torques = [reference[:, 0]], [], []
+        poses, readings, torques = [reference[:, 0]], [], []
         snapshots, between = [scenes.snapshot()], round(SNAPSHOT / dt)
         began = time.perf_counter()
         for i in range(n_steps):
@@ -128,14 +128,14 @@ def dig(
             scenes.seconds["control"] += decided - began
             scenes.seconds["physics"] += stepped - decided
             began = stepped
-            forces.append(scenes.force)
+            readings.append(scenes.reading)
             if (i + 1) % between == 0:
                 snapshots.append(scenes.snapshot())
                 if progress is not None:
                     progress((i + 1) * dt)
         _, last = control.chain.jacobian(scenes.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
         poses.append(torch.stack([last[:, 0, 3], last[:, 2, 3], torch.atan2(last[:, 2, 0], last[:, 0, 0])], -1))
-        force = torch.stack(forces, 1)
+        force = scenes.force(*(np.stack(part, 1) for part in zip(*readings, strict=True)))
         force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
         load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
     return Recording(

@@ -144,7 +144,7 @@ class LwrDigging(Task):
 
     # ------------------------------------------------------------------ a trial
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def reference(self, policy: GMRPolicy) -> tuple[Rollout, Tensor, Tensor]:
         """What the controller is asked for, from the policy alone (Eq. 36-38).
 
@@ -164,7 +164,7 @@ class LwrDigging(Task):
         recording = self.execute(reference, stiffness)
         return replace(path, x=recording.pose, v=recording.pose.diff(dim=-2) / self.dt, plant=recording)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def execute(self, reference: Tensor, stiffness: Tensor) -> Recording:
         """Let the arm follow references, on a new bed each.
 

@@ -65,7 +65,7 @@ def test_the_wrist_weighs_the_empty_shovel(scenes, start):
     scenes.reset(start, [0, 1])
     held(scenes, start, 250)
     expected = torch.tensor([[0.0, 0.0, 5.886]], dtype=torch.float64).expand(2, 3)
-    torch.testing.assert_close(scenes.force, expected, atol=0.05, rtol=0)
+    torch.testing.assert_close(scenes.force(*scenes.reading), expected, atol=0.05, rtol=0)
 
 
 def test_the_arm_comes_first_and_its_mass_matrix_is_gathered(scenes, start):
