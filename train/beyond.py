@@ -26,14 +26,13 @@ from train.searchers import make_closure, make_decay, make_optimizer
 from train.starts import one_start
 
 Experiment = Literal["recruit", "noise", "starts"]
-LEARNERS: dict[str, dict[str, Any]] = {
-    "PI^BB": {},
+LearnerName = Literal["pibb", "recommended"]
+LEARNERS: dict[LearnerName, dict[str, Any]] = {
+    "pibb": {},
     "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
 }
 """Options of the learners: the paper's, and `--optimizer surrogate --exploration trajectory`."""
 
-NOISE = (0.0, 0.1, 0.5)
-"""Standard deviations of noise in the cost of a trial, as shares of the initial policy's cost."""
 SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (10, 10, 5))
 """Policies of an update, updates, and trials of each policy: 500 trials."""
 
@@ -66,6 +65,10 @@ class Beyond:
 
     experiments: tuple[Experiment, ...] = get_args(Experiment)
     """recruit: new Gaussians where the motion needs them. noise: policies or repeats. starts: one start a trial."""
+    learners: tuple[LearnerName, ...] = get_args(LearnerName)
+    """pibb: as in the paper. recommended: --optimizer surrogate --exploration trajectory."""
+    levels: tuple[float, ...] = (0.0, 0.1, 0.5)
+    """Standard deviations of noise in the cost of a trial, as shares of the initial policy's cost."""
     runs: int = 20
     """Learning runs of each row, in one batch."""
     seed: int = 0
@@ -73,7 +76,7 @@ class Beyond:
     width: float = 2.0
     """Of the recruited Gaussians [position unit of the task]."""
     budget: float = 1.0
-    """Share of each task's updates; less than one for a quick look."""
+    """Factor on the updates of every row; less than one for a quick look."""
     logdir: Path = field(default_factory=lambda: Path("logs"))
     """Where to write: LOGDIR/beyond/."""
 
@@ -82,15 +85,19 @@ class Beyond:
 
         Raises:
             InvalidArgumentError: numbers out of range.
-            UnknownNameError: an experiment that does not exist.
+            UnknownNameError: an experiment or a learner that does not exist.
         """
-        for name in self.experiments:
-            if name not in get_args(Experiment):
-                raise UnknownNameError("experiment", name, get_args(Experiment))
-        if self.runs < 2 or not 0 < self.budget <= 1 or not self.width > 0:
+        for kind, received, known in (
+            ("experiment", self.experiments, get_args(Experiment)),
+            ("learner", self.learners, get_args(LearnerName)),
+        ):
+            for name in received:
+                if name not in known:
+                    raise UnknownNameError(kind, name, known)
+        if self.runs < 2 or not self.budget > 0 or not self.width > 0 or min(self.levels, default=0.0) < 0:
             raise InvalidArgumentError(
-                f"--runs of at least 2, a --budget in (0, 1] and a positive --width are needed, got {self.runs}, "
-                f"{self.budget} and {self.width}"
+                f"--runs of at least 2, a positive --budget and --width and --levels ≥ 0 are needed, got {self.runs}, "
+                f"{self.budget}, {self.width} and {self.levels}"
             )
         folder = self.logdir / "beyond" / time.strftime("%Y%m%d-%H%M%S")
         folder.mkdir(parents=True)
@@ -151,14 +158,16 @@ class Beyond:
 
     def recruit(self) -> Iterator[Way]:
         """Few Gaussians, the same with recruiting, and as many from the beginning."""
-        problems: list[tuple[str, dict[str, Any], str]] = [
-            ("via_point", {"shape": "N"}, "PI^BB"),
-            ("via_point", {"shape": "P"}, "PI^BB"),
+        problems: list[tuple[str, dict[str, Any], LearnerName]] = [
+            ("via_point", {"shape": "N"}, "pibb"),
+            ("via_point", {"shape": "P"}, "pibb"),
             ("via_point", {"shape": "N"}, "recommended"),
             ("via_point", {"shape": "P"}, "recommended"),
-            ("two_starts", {}, "PI^BB"),
+            ("two_starts", {}, "pibb"),
         ]
         for task, own, learner in problems:
+            if learner not in self.learners:
+                continue
             group = f"{own.get('shape', task)}, {learner}"
             two = task == "two_starts"
             options = self.options(task, 100 if two else 50, **own, **LEARNERS[learner])
@@ -170,23 +179,28 @@ class Beyond:
 
     def noise(self) -> Iterator[Way]:
         """Policies or repeats, under noise of several sizes."""
-        for std in NOISE:
-            for learner, how in LEARNERS.items():
+        for std in self.levels:
+            for learner in self.learners:
                 for n, updates, repeats in SPLITS:
-                    label = f"{n} policies × {repeats} trials × {updates} updates"
-                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **how)
+                    label = f"{n} policies × {repeats} trials an update"
+                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **LEARNERS[learner])
                     yield Way(
                         f"noise {std}, {learner}", label, options, change=partial(repeat, repeats), trajectories=repeats
                     )
 
     def starts(self) -> Iterator[Way]:
         """Both starts in each trial, or one, at equal numbers of trajectories."""
-        for learner, how in LEARNERS.items():
+        for learner in self.learners:
             group = f"two_starts, {learner}"
-            yield Way(group, "both starts, as in the paper", self.options("two_starts", 100, **how), trajectories=2)
+            yield Way(
+                group,
+                "both starts, as in the paper",
+                self.options("two_starts", 100, **LEARNERS[learner]),
+                trajectories=2,
+            )
             for n, updates in ((40, 100), (20, 200)):
-                options = self.options("two_starts", updates, rollouts=n, **how)
-                yield Way(group, f"one start: {n} policies × {updates} updates", options, change=one_each)
+                options = self.options("two_starts", updates, rollouts=n, **LEARNERS[learner])
+                yield Way(group, f"one start, {n} policies an update", options, change=one_each)
 
 
 def fitted(options: RunOptions, n_components: int) -> GaussianMixture:

@@ -106,6 +106,8 @@ def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
     ("options", "error", "words"),
     [
         ({"experiments": ("recrut",)}, UnknownNameError, "unknown experiment 'recrut'"),
+        ({"learners": ("pi",)}, UnknownNameError, "unknown learner 'pi'"),
+        ({"levels": (-0.1,)}, InvalidArgumentError, "--levels"),
         ({"budget": 0.0}, InvalidArgumentError, "--budget"),
         ({"runs": 1}, InvalidArgumentError, "--runs"),
         ({"width": -1.0}, InvalidArgumentError, "--width"),
