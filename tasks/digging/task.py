@@ -144,7 +144,7 @@ class LwrDigging(Task):
 
     # ------------------------------------------------------------------ a trial
 
-    @torch.inference_mode()
+    @torch.no_grad()
     def reference(self, policy: GMRPolicy) -> tuple[Rollout, Tensor, Tensor]:
         """What the controller is asked for, from the policy alone (Eq. 36-38).
 
@@ -164,7 +164,7 @@ class LwrDigging(Task):
         recording = self.execute(reference, stiffness)
         return replace(path, x=recording.pose, v=recording.pose.diff(dim=-2) / self.dt, plant=recording)
 
-    @torch.inference_mode()
+    @torch.no_grad()
     def execute(self, reference: Tensor, stiffness: Tensor) -> Recording:
         """Let the arm follow references, on a new bed each.
 
@@ -186,7 +186,8 @@ class LwrDigging(Task):
         self.trials += n
         done = dig(self.scenes(n), stay, soft, seeds, self.progress)
         done = done._replace(failed=done.failed | ~possible)
-        return Recording(*(value.reshape(batch + value.shape[1:]) for value in done))
+        # `dig` works in inference mode; its copies are tensors like any other
+        return Recording(*(value.clone().reshape(batch + value.shape[1:]) for value in done))
 
     def scenes(self, n: int) -> Scenes:
         """The scenes of `n` roll-outs at once, made when they are first needed."""
