@@ -211,8 +211,9 @@ def test_motion_and_stiffness_together_are_better_than_either_alone(alone):
     assert scipy.stats.mannwhitneyu(final(), final(learn=alone), alternative="less").pvalue < 0.01
 
 
-def test_exploration_along_the_motion_needs_400_rollouts_for_what_takes_the_paper_1000():
-    assert np.median(final(40, exploration="trajectory")) <= np.median(final())
+def test_the_recommended_learner_needs_400_rollouts_for_what_takes_the_paper_1000():
+    recommended = {"exploration": "trajectory", "optimizer": "surrogate"}
+    assert np.median(final(40, **recommended)) <= np.median(final())
 
 
 def test_a_start_that_diverges_is_learned_from():
