@@ -12,8 +12,9 @@ for _package, _module in (("mujoco", "mujoco"), ("pytorch-kinematics", "pytorch_
         raise MissingPackageError(_package, "digging", "the digging task")
 
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    # Pictures without a screen, by what there is; MuJoCo reads this when it is imported.
+    # Pictures without a screen, by what there is; MuJoCo reads this when it is imported, which fails if OpenGL is not whole.
+    _opengl = ctypes.util.find_library("OpenGL") or ctypes.util.find_library("GL")
     for _library, _platform in (("EGL", "egl"), ("OSMesa", "osmesa")):
-        if ctypes.util.find_library(_library):
+        if _opengl and ctypes.util.find_library(_library):
             os.environ.setdefault("MUJOCO_GL", _platform)
             break
