@@ -19,7 +19,7 @@ from torchds import GMRPolicy
 from train.learning import Learner
 from train.options import LwrDiggingOptions
 from train.records import versions, write_json
-from train.run import CHECKPOINT, OPTIONS, RESULTS, run
+from train.run import CHECKPOINT, OPTIONS, RESULTS, resume_options, run
 
 STARTS = (150.0, 400.0)  # N/m
 LEARNERS: dict[str, dict[str, Any]] = {
@@ -67,8 +67,7 @@ class Experiment:
     def learner(self, learner: str, start: float) -> Learner:
         """The finished run, as an object."""
         folder = self.learned(learner, start)
-        content = json.loads((folder / OPTIONS).read_text())
-        finished = Learner(LwrDiggingOptions.from_json(content["options"]))
+        finished = Learner(resume_options(folder))
         finished.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
         return finished
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 
@@ -77,7 +77,7 @@ class RunOptions:
         return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name != "resume"}
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> RunOptions:
+    def from_json(cls, values: dict[str, Any]) -> Self:
         """What `to_json` gave."""
         paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
         return cls(**{**values, **paths})

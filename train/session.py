@@ -108,7 +108,6 @@ class Session:
             raise InvalidArgumentError(f"{folder} holds no session; {hint('start', folder)}")
         state = torch.load(folder / STATE, weights_only=True)
         options = LwrDiggingOptions.from_json(state["options"])
-        assert isinstance(options, LwrDiggingOptions)
         kept = {"demonstrations": folder / DEMONSTRATIONS, "mixture": folder / MIXTURE}
         session = cls(folder, options, LwrDigging(**options.task_options() | kept))
         session.learner.load_state_dict(state["learner"])

@@ -74,9 +74,7 @@ class View:
                 f"--policy {self.policy}: a run of {content['task']!r} with {runs} policies; needed is one of {self.task!r} "
                 f"that has policy {self.run}"
             )
-        options = LwrDiggingOptions.from_json(content["options"])
-        assert isinstance(options, LwrDiggingOptions)
-        return options
+        return LwrDiggingOptions.from_json(content["options"])
 
 
 def show(options: LwrDiggingOptions, path: Rollout) -> None:

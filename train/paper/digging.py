@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import PIL.Image
 from matplotlib.figure import Figure
 
 from torchds import plotting
@@ -25,7 +24,7 @@ def figure_15(experiment: Experiment) -> Made:
     seconds = learner.task.motion()["n_steps"] * learner.task.motion()["dt"]
     figure = Figure(figsize=(16, 4.4), layout="constrained")
     for axes, i in zip(figure.subplots(1, 3), (0, 15, 30), strict=True):
-        axes.imshow(PIL.Image.fromarray(film[i]))
+        axes.imshow(film[i])
         axes.set_title(f"t = {seconds * i / 30:.1f} s")
         axes.axis("off")
     load = float(learner.task.diagnostics(learner.path)["gravel/load"].median())

@@ -18,13 +18,6 @@ from tasks.digging.scene import COARSE, PREFIX, Scenes  # noqa: E402
 from tasks.digging.simulation import dig, scoop  # noqa: E402
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def start():
     return lwr.posture(*torch.tensor([0.59, 0.235, -0.65], dtype=torch.float64))

@@ -24,13 +24,6 @@ from tasks.digging.rendering import NoRendererError
 SHORT = {"grains": "coarse", "seconds": 1.0}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def trial():
     """A task, two policies and their trial: long enough to dig."""
