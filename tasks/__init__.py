@@ -9,8 +9,8 @@ from tasks.base import Scene as Scene
 from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
 from tasks.constrained_reaching import ConstrainedReaching as ConstrainedReaching
-from tasks.divergent_field import DivergentField as DivergentField
-from tasks.half_plane_force import HalfPlaneForce as HalfPlaneForce
+from tasks.force_fields.divergent import DivergentField as DivergentField
+from tasks.force_fields.half_plane import HalfPlaneForce as HalfPlaneForce
 from tasks.two_starts import TwoStarts as TwoStarts
 from tasks.via_point import ViaPoint as ViaPoint
 from torchds.errors import InvalidArgumentError, UnknownNameError

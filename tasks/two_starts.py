@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tasks.base import Convention, Scene, SearchSettings, Task
-from tasks.released import RELEASED_SEARCH, released_fit, released_plant
+from tasks.released.base import RELEASED_SEARCH, released_fit, released_plant
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa
 
 

@@ -12,15 +12,15 @@ import tyro
 
 from torchds.errors import TorchdsError
 from train import benchmark
-from train.benchmark_lasa import BenchmarkLasa
-from train.beyond import Beyond
-from train.claims import Claims
-from train.compare import Compare
-from train.deep_rl import DeepRL
-from train.hardware import Hardware
+from train.beyond.command import Beyond
+from train.compare.command import Compare
+from train.deep_rl.command import DeepRL
+from train.hardware.command import Hardware
+from train.lasa.command import BenchmarkLasa
+from train.learning.run import Interrupted, run
 from train.options import TASK_OPTIONS, RunOptions
-from train.paper import Figures
-from train.run import Interrupted, run
+from train.paper.claims.command import Claims
+from train.paper.figures.command import Figures
 from train.view import View
 
 

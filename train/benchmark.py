@@ -11,9 +11,9 @@ from tqdm import tqdm
 
 import tasks
 from torchds.exploration import TrajectorySpace
-from train.learning import Learner
+from train.folder import versions
+from train.learning.learner import Learner
 from train.options import ViaPointOptions
-from train.records import versions
 
 
 @dataclass

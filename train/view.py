@@ -15,9 +15,9 @@ import tyro
 
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
-from train.learning import Learner
+from train.learning.learner import Learner
+from train.learning.run import OPTIONS
 from train.options import LwrDiggingOptions
-from train.run import OPTIONS
 
 PER_SECOND = 30  # frames
 

@@ -11,9 +11,9 @@ from torchds import Demonstrations
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.exploration import Homogeneous
 from torchds.optim import PIBB
-from train.learning import Learner
+from train.learning.learner import Learner
 from train.options import LwrDiggingOptions
-from train.searchers import make_closure
+from train.searchers.named import make_closure
 
 pytest.importorskip("mujoco")
 pytest.importorskip("pytorch_kinematics")

@@ -1,0 +1,166 @@
+"""What the two force-field tasks share: an arch through four via-points, a compliant point mass, learned stiffness."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.released.base import RELEASED_SEARCH, released_fit
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
+from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
+from torchds.plants import Force, PointMass
+
+LOW, HIGH = 0.1, 1000.0  # N/m, bounds of the applied stiffness
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The constants of one task under one convention.
+
+    Attributes:
+        start: of motion and plant [m].
+        via_points: [m]; one that stands twice counts twice.
+        duration: T dt [s].
+        n_components: Gaussians of the mixture.
+        stiffness: s⁰, the constant initial stiffness [N/m].
+        acceleration_weight: of |v_j − v_{j−1}| (paper) or |a_j|² (released).
+        stiffness_weight: of |s_j| (paper) or the sum of the axes' stiffness (released).
+    """
+
+    start: tuple[float, float]
+    via_points: tuple[tuple[float, float], ...]
+    duration: float
+    n_components: int
+    stiffness: float
+    acceleration_weight: float
+    stiffness_weight: float
+
+
+# The paper names no via-points; these lie on the arch, but for the bend after the top.
+ARCH_VIA_POINTS = ((-9.0, 4.3), (-6.0, 4.0), (-3.6, 1.8), (-1.4, 0.4))
+DT = 0.1  # s
+
+
+# 100 updates of 10 roll-outs, with noise of 2 N/m in the stiffness beside that of the motion.
+ARCH_SEARCH = SearchSettings(
+    n_updates=100,
+    n_rollouts=10,
+    control_weight=1e-6,
+    mean_stiffness=2.0,
+)
+RELEASED_ARCH_SEARCH = replace(RELEASED_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=10.0)
+
+
+def arch(s: Tensor) -> Tensor:
+    """The nominal path (−12 (1−s), 4 sin πs + 1.5 sin 2πs) [m] at progress `s` in [0, 1]."""
+    return torch.stack([-12 * (1 - s), 4 * torch.sin(math.pi * s) + 1.5 * torch.sin(2 * math.pi * s)], -1)
+
+
+def arch_demonstrations(bias: float) -> Demonstrations:
+    """Three imperfect motions along the arch, 14 s each, slowing down towards the goal.
+
+    Args:
+        bias: by how much all of them pass beside the arch [m], to the same side, half-way.
+    """
+    tau = torch.linspace(0, 1, 141, dtype=torch.float64)
+    s = 1 - (1 - tau) ** 1.5
+    x = arch(s)
+    (tangent,) = torch.gradient(x, dim=0)
+    normal = torch.stack([-tangent[:, 1], tangent[:, 0]], -1)
+    normal = normal / normal.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    bump, wave = torch.sin(math.pi * s)[:, None], torch.sin(2 * math.pi * s)[:, None]
+    fade = (1 - s)[:, None]
+    starts = torch.tensor([[0.0, -0.3], [0.2, 0.0], [-0.2, 0.3]], dtype=torch.float64)
+    motions = [x + (bias * bump + 0.3 * (i - 1) * wave) * normal + fade * start for i, start in enumerate(starts)]
+    return Demonstrations(motions, dt=14.0 / 140, units="m")
+
+
+class ArchTask(Task):
+    """Pass through via-points with a compliant point mass in a force field, at a low stiffness (Eq. 49, 51).
+
+    A unit point mass with unit damping tracks the reference under the implicit impedance controller of Eq. 33. The policy
+    gives velocity and stiffness; the demonstrations say nothing about the stiffness, so it begins as the constant s⁰. The
+    cost is that of the actual motion and of the stiffness as applied, between 0.1 and 1000 N/m.
+    """
+
+    conventions = ("paper", "released")
+    setups: ClassVar[Mapping[str, Setup]]
+    searches: ClassVar[Mapping[str, SearchSettings]]
+    bias: float
+    plant: ImpedanceControlled
+
+    def __init__(
+        self,
+        *,
+        initial_stiffness: float | None = None,
+        stiffness_dim: int = 2,
+        demonstrations: Demonstrations | str | Path | None = None,
+        mixture: GaussianMixture | str | Path | None = None,
+        convention: Convention = "paper",
+    ) -> None:
+        super().__init__(demonstrations=demonstrations, mixture=mixture, convention=convention)
+        self.setup, self.search = self.setups[convention], self.searches[convention]
+        self.initial_stiffness = self.setup.stiffness if initial_stiffness is None else initial_stiffness
+        self.stiffness_dim = stiffness_dim
+        self.goal = torch.zeros(2, dtype=torch.float64)
+        self.via_points = torch.tensor(self.setup.via_points, dtype=torch.float64)
+        released = convention == "released"
+        self.plant = ImpedanceControlled(
+            PointMass(mass=1.0, damping=1.0, force=self.force()),
+            form="explicit" if released else "implicit",
+            low=0.0 if released else LOW,
+            high=math.inf if released else HIGH,
+        )
+
+    @abstractmethod
+    def force(self) -> Force:
+        """The external force."""
+
+    def default_demonstrations(self) -> Demonstrations:
+        """Three imperfect motions along the arch."""
+        if self.convention == "released":
+            raise self.needs_data()
+        return arch_demonstrations(self.bias)
+
+    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
+        """Gaussians over position and velocity."""
+        fit = released_fit if self.convention == "released" else GaussianMixture.fit
+        return fit(demonstrations, self.setup.n_components)
+
+    def policy(self) -> GMRPolicy:
+        """The imitated motion with the constant stiffness s⁰."""
+        mixture = self.mixture.marginal(0, 4)
+        return GMRPolicy.from_mixture(mixture, 2, stiffness_dim=self.stiffness_dim, stiffness=self.initial_stiffness)
+
+    def motion(self) -> dict[str, Any]:
+        """From the one start."""
+        start = torch.tensor(self.setup.start, dtype=torch.float64)
+        return {"x0": start, "n_steps": round(self.setup.duration / DT), "dt": DT}
+
+    def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
+        """Acceleration and stiffness of each step of each trajectory `(*batch, *points, T)`, not weighted."""
+        applied = path.plant.stiffness[..., 1:, :]
+        if self.convention == "released":
+            return path.plant.acceleration[..., 1:, :].square().sum(-1), applied.sum(-1)
+        return costs.acceleration_steps(path.v), torch.linalg.vector_norm(applied, dim=-1)
+
+    def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
+        """Share of clamped stiffness, mean stiffness, and energy that its changes inject, `(*batch, *points)`."""
+        return {
+            "stiffness/clamped": clamped_share(path, self.plant),
+            "stiffness/mean": path.plant.stiffness[..., 1:, :].mean((-2, -1)),
+            "stiffness/injected_energy": injected_energy(path),
+        }
+
+    def scene(self) -> Scene:
+        """Start, goal and via-points."""
+        start = torch.tensor([self.setup.start], dtype=torch.float64)
+        return Scene(start, self.goal, {"via-points": self.via_points}, unit="m" if self.convention == "paper" else "")

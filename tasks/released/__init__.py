@@ -1,0 +1,1 @@
+"""The problems as the paper's authors released them."""

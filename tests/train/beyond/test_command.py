@@ -1,0 +1,119 @@
+"""python -m train beyond: recruiting, repeats and one start a trial."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+import tasks
+from torchds import rollout
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.beyond import command as beyond
+from train.beyond.command import Beyond, grow
+from train.beyond.starts import comparable, one_start
+from train.learning.learner import Learner
+from train.options import TwoStartsOptions, ViaPointOptions
+
+
+class Short(tasks.TwoStarts):
+    """Two starts in a tenth of the steps."""
+
+    def motion(self):
+        motion = super().motion()
+        return {**motion, "n_steps": motion["n_steps"] // 10, "dt": 10 * motion["dt"]}
+
+
+@pytest.fixture(scope="module")
+def task():
+    return Short()
+
+
+def test_comparable_starts_have_one_minimum_and_spread_and_keep_their_order(randn):
+    costs = randn(8, 5).exp() * torch.tensor([1.0, 100.0]).repeat(4).unsqueeze(-1)
+    each, scaled = (c.unflatten(0, (4, 2)).numpy() for c in (costs, comparable(costs, 2, "range")))
+    low, high = each.min(0).mean(0), each.min(0).mean(0) + np.ptp(each, 0).mean(0)
+    np.testing.assert_allclose(scaled.min(0), [low, low], rtol=1e-12)
+    np.testing.assert_allclose(scaled.max(0), [high, high], rtol=1e-12)
+    assert (scaled.argsort(0) == each.argsort(0)).all()
+
+
+def test_failed_and_equal_costs_stay_what_they_are():
+    costs = torch.tensor([1.0, 5.0, torch.nan, 5.0, 3.0, 5.0])
+    assert comparable(costs, 2, "capped").tolist() == [3.0, 3.0, float("inf"), 3.0, 4.0, 3.0]
+
+
+def test_each_policy_is_tried_from_its_own_start(task, randn):
+    policy = task.policy().expand(4, 3)
+    policy.unpack(policy.pack().detach() + 1e-3 * randn(*policy.pack().shape))
+    motion = {**task.motion()}
+    starts = motion.pop("x0")
+    alone = [task.cost(rollout(policy[n], starts[n % 2 : n % 2 + 1], **motion)) for n in range(4)]
+    expected = comparable(torch.stack(alone), 2, "range")
+    torch.testing.assert_close(one_start(task, policy, 4, "range")(), expected, atol=1e-9, rtol=1e-9)
+
+
+def test_tasks_without_several_starts_and_uneven_shares_are_refused(task):
+    with pytest.raises(InvalidArgumentError, match="does not have several starts"):
+        one_start(tasks.make("via_point"), tasks.make("via_point").policy(), 4, "range")
+    with pytest.raises(InvalidArgumentError, match="5 roll-outs cannot be shared evenly by 2 starts"):
+        one_start(task, task.policy(), 5, "range")
+
+
+def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
+    learner = Learner(TwoStartsOptions(runs=2, updates=4, rollouts=4), task)
+    learner.start()
+    learner.update()
+    lr, cost = learner.optim.param_groups[0]["lr"], learner.history.cost[-1]
+    drawn = learner.optim.generator.get_state()
+    grow(learner, 2.0)
+    terms = learner.evaluate()
+    assert learner.policy.n_components == 12
+    assert learner.optim.param_groups[0]["lr"] == lr
+    assert torch.equal(learner.optim.generator.get_state(), drawn)
+    # Only the control cost, a sum over parameters, knows that there are more of them.
+    same = [sum(float(terms[name][i]) for name in terms if name != "control") for i in range(2)]
+    before = [cost[i] - learner.history.terms["control"][-1][i] for i in range(2)]
+    np.testing.assert_allclose(same, before, rtol=1e-9)
+    learner.update()
+    assert learner.optim.param_groups[0]["lr"] < lr
+
+
+def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
+    small = {"runs": 2, "updates": 2, "rollouts": 4}
+    one, two = ViaPointOptions(**small, cost_noise=0.1), TwoStartsOptions(**small)
+    ways = {
+        "recruit": [beyond.Way("a", "frozen", two, 3, trajectories=2), beyond.Way("a", "grown", two, 3, grow=(0.5,))],
+        "noise": [beyond.Way("b", "three", one, change=lambda learner: beyond.repeat(3, learner), trajectories=3)],
+        "starts": [beyond.Way("c", "one", two, change=beyond.one_each)],
+    }
+    for name, rows in ways.items():
+        assert {way.group.split(",")[0] for way in getattr(Beyond(), name)()}  # the real ones can be made
+        monkeypatch.setattr(Beyond, name, lambda self, rows=rows: rows)
+    folder = Beyond(runs=2, logdir=tmp_path).main()
+    rows = json.loads((folder / "costs.json").read_text())["rows"]
+    assert {name: [row["trajectories"] for row in rows[name]] for name in rows} == {
+        "recruit": [16, 8],
+        "noise": [24],
+        "starts": [8],
+    }
+    report = (folder / "report.md").read_text()
+    q1, median, q3 = np.quantile(rows["recruit"][1]["cost"], [0.25, 0.5, 0.75])
+    assert f"| a | grown | 8 | {median:.3g} | {q1:.3g} | {q3:.3g} | " in report
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"experiments": ("recrut",)}, UnknownNameError, "unknown experiment 'recrut'"),
+        ({"learners": ("pi",)}, UnknownNameError, "unknown learner 'pi'"),
+        ({"levels": (-0.1,)}, InvalidArgumentError, "--levels"),
+        ({"budget": 0.0}, InvalidArgumentError, "--budget"),
+        ({"runs": 1}, InvalidArgumentError, "--runs"),
+        ({"width": -1.0}, InvalidArgumentError, "--width"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_runs(options, error, words, tmp_path):
+    with pytest.raises(error, match=words):
+        Beyond(**options, logdir=tmp_path).main()
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,174 @@
+"""python -m train compare: fair, complete, resumable, and what it writes is what was measured."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tests.motions import Short
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.compare import command as compare
+from train.compare.command import Compare
+from train.compare.report import Row, reference_level
+from train.learning.learner import Learner
+from train.learning.run import Interrupted
+from train.options import ViaPointOptions
+
+SMALL = {
+    "tasks": ("via_point-N",),
+    "optimizers": ("pibb", "cobyqa", "adam"),
+    "runs": 3,
+    "tuning_runs": 2,
+    "updates": 2,
+    "factors": (0.1, 1.0),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def task():
+    """All problems are one short letter."""
+    task = Short()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compare, "made", lambda options: task)
+        yield task
+
+
+@pytest.fixture(scope="module")
+def finished(task, tmp_path_factory):
+    return Compare(**SMALL, logdir=tmp_path_factory.mktemp("logs")).main()
+
+
+def read(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_row_is_there_with_what_a_run_of_its_own_gives(finished, task):
+    rows = {row["optimizer"]: row for row in read(finished / "table.csv")}
+    assert list(rows) == [f"{o}{c}" for o in SMALL["optimizers"] for c in ("", ", trajectory")]
+    factor = {"0.1": 0.1, "1": 1.0}[rows["pibb"]["factor"]]
+    cost = Learner(ViaPointOptions(runs=3, updates=2, scale=factor), task).learn().history.cost
+    quartiles = [f"{q:.3g}" for q in np.quantile(cost[-1], [0.25, 0.5, 0.75])]
+    assert [rows["pibb"][name] for name in ("q1", "final median", "q3")] == quartiles
+    assert {row["initial"] for row in rows.values()} == {f"{cost[0][0]:.3g}"}
+    assert {row["roll-outs"] for row in rows.values()} == {"20"}
+    assert [row["gradients"] for row in rows.values()] == ["no"] * 4 + ["yes"] * 2
+    assert rows["pibb"]["runs"] == "3"
+    assert rows["adam"]["runs"] == "1, deterministic"
+    assert rows["adam"]["forward-equivalents"] == "80"
+
+
+def test_the_factor_is_the_best_of_the_tuning_runs_which_have_seeds_of_their_own(finished):
+    runs = finished.parent / "runs" / "via_point"
+    found = [json.loads((folder / "results.json").read_text()) for folder in runs.glob("pibb-*")]
+    plain = [record for record in found if record["options"]["exploration"] == "homogeneous"]
+    tuning = {r["options"]["scale"]: np.median(r["cost"][-1]) for r in plain if r["options"]["seed"] == 1000}
+    (reported,) = (r for r in plain if r["options"]["seed"] == 0)
+    assert set(tuning) == {0.1, 1.0}
+    assert reported["options"]["scale"] == min(tuning, key=tuning.get)
+    text = (finished / "report.md").read_text()
+    assert f"| via_point-N | pibb | {tuning[0.1]:.3g} | {tuning[1.0]:.3g} |" in text
+
+
+def test_curves_figure_and_tensorboard_are_written(finished):
+    curves = read(finished / "curves.csv")
+    assert [row["roll-outs"] for row in curves if row["optimizer"] == "pibb"] == ["0", "10", "20"]
+    assert (finished / "curves.png").stat().st_size > 10_000
+    events = EventAccumulator(str(finished / "000")).Reload()
+    assert "hparam/final_cost_median" in events.Tags()["scalars"]
+
+
+def test_runs_that_exist_are_not_made_again(finished, monkeypatch):
+    def update(learner):
+        raise AssertionError("this run exists")
+
+    monkeypatch.setattr(Learner, "update", update)
+    again = Compare(**SMALL, logdir=finished.parents[1])
+    monkeypatch.setattr(compare.time, "strftime", lambda form: "again")
+    assert read(again.main() / "table.csv") == read(finished / "table.csv")
+
+
+def test_an_interrupted_comparison_continues_and_ends_the_same(finished, tmp_path, monkeypatch):
+    left, update = [5], Learner.update
+
+    def interrupted(learner):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return update(learner)
+
+    monkeypatch.setattr(compare, "SAVE_EVERY", -1.0)
+    monkeypatch.setattr(Learner, "update", interrupted)
+    with pytest.raises(Interrupted, match="the same command continues"):
+        Compare(**SMALL, logdir=tmp_path).main()
+    left[0] = 10**6
+    folder = Compare(**SMALL, logdir=tmp_path).main()
+    # In 6 rows: two factors, and once more the best on other seeds where these matter.
+    assert 10**6 - left[0] == 2 * (2 * 3 + 4 * 2) - 5
+    timed = {"seconds"}
+    for a, b in zip(read(folder / "table.csv"), read(finished / "table.csv"), strict=True):
+        assert {k: v for k, v in a.items() if k not in timed} == {k: v for k, v in b.items() if k not in timed}
+
+
+def test_what_a_task_refuses_is_said_and_not_a_failure(task, tmp_path, monkeypatch):
+    monkeypatch.setattr(task, "differentiable", False, raising=False)
+    folder = Compare(
+        **{**SMALL, "optimizers": ("pibb", "adam"), "coordinates": ("plain",), "factors": (1.0,)}, logdir=tmp_path
+    ).main()
+    refused = {row["optimizer"]: row["refused"] for row in read(folder / "table.csv")}
+    assert refused["pibb"] == ""
+    assert "needs the gradient of a trial" in refused["adam"]
+    assert "Cannot be had:\n\n- adam: " in (folder / "report.md").read_text()
+
+
+def test_other_runs_can_be_added(finished, tmp_path):
+    other = next((finished.parent / "runs" / "via_point").glob("cobyqa-*"))
+    small = {**SMALL, "optimizers": ("pibb",), "coordinates": ("plain",), "factors": (1.0,), "updates": 1}
+    folder = Compare(**small, add=(other,), logdir=tmp_path).main()
+    assert [row["optimizer"] for row in read(folder / "table.csv")] == ["pibb", "cobyqa, added"]
+    with pytest.raises(InvalidArgumentError, match=r"--add nowhere: no results\.json there"):
+        Compare(**small, add=(tmp_path.__class__("nowhere"),), logdir=tmp_path).main()
+
+
+def test_noise_makes_deterministic_methods_random(tmp_path):
+    small = {**SMALL, "optimizers": ("cobyqa",), "coordinates": ("plain",), "factors": (1.0,), "updates": 6}
+    folder = Compare(**small, noise_std=0.3, logdir=tmp_path).main()
+    (row,) = read(folder / "table.csv")
+    assert row["runs"] == "3"
+    assert row["q1"] != row["q3"]
+    assert "normal noise of 0.3 times the initial cost" in (folder / "report.md").read_text()
+
+
+def row(label, cost, rollouts=(0, 10, 20)):
+    return Row("p", label, {"cost": cost, "rollouts": list(rollouts)})
+
+
+def test_rollouts_to_a_level_are_those_of_the_first_update_whose_median_is_there():
+    curve = row("a", [[9.0, 9.0, 9.0], [1.0, 4.0, 5.0], [1.0, 2.0, 9.0]])
+    assert [curve.reaches(level) for level in (9.0, 4.0, 3.0, 1.9)] == [0, 10, 20, None]
+    assert reference_level([curve, row("pibb", [[9.0], [3.0], [2.5]])]) == 2.5
+    assert reference_level([curve]) is None
+
+
+def test_runs_that_went_astray_count_as_the_worst():
+    q1, median, q3 = row("a", [[1.0, float("nan"), 2.0, float("inf"), 3.0]], [0]).quantiles()[:, 0]
+    assert (q1, median) == (2.0, 3.0)
+    assert q3 == np.inf
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"tasks": ("via_point",)}, UnknownNameError, "unknown problem 'via_point'.*via_point-N"),
+        ({"optimizers": ("adm",)}, UnknownNameError, "unknown optimizer 'adm'. Did you mean 'adam'"),
+        ({"factors": (0.0,)}, InvalidArgumentError, "positive --factors"),
+        ({"runs": 0}, InvalidArgumentError, "--runs"),
+        ({"noise_std": -1.0}, InvalidArgumentError, "--noise-std"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_runs(options, error, words, tmp_path):
+    with pytest.raises(error, match=words):
+        Compare(**options, logdir=tmp_path).main()
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,118 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from torchds.errors import InvalidArgumentError
+from train.learning.run import run
+from train.options import ViaPointOptions
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return run(ViaPointOptions(runs=2, updates=4, rollouts=5, logdir=tmp_path_factory.mktemp("logs")))
+
+
+def costs(folder):
+    return json.loads((folder / "results.json").read_text())["cost"]
+
+
+def test_a_run_leaves_all_that_it_promises(finished):
+    results = json.loads((finished / "results.json").read_text())
+    assert set(results) >= {"task", "options", "versions", "rollouts", "cost", "terms", "seconds"}
+    assert results["rollouts"] == [0, 5, 10, 15, 20]
+    assert [len(row) for row in results["cost"]] == [2] * 5
+    for update in range(5):
+        for r in range(2):
+            parts = sum(term[update][r] for term in results["terms"].values())
+            assert results["cost"][update][r] == pytest.approx(parts, rel=1e-12)
+    assert finished.parent.parts[-2:] == ("via_point", "pibb")
+    for name in ("options.json", "checkpoint.pt", "policy.pt", "motion.png", "learning_curves.png"):
+        assert (finished / name).stat().st_size > 0
+    assert not list(finished.glob("*.part"))
+
+
+def test_tensorboard_has_scalars_figures_and_hparams(finished):
+    events = EventAccumulator(str(finished), size_guidance={"images": 0, "scalars": 0}).Reload()
+    scalars = set(events.Tags()["scalars"])
+    assert scalars >= {"cost/total", "cost/via_points", "cost/control", "exploration/lr", "weights/entropy"}
+    assert scalars >= {"rollouts/failed", "time/update_seconds", "hparam/final_cost_median"}
+    assert len(events.Scalars("cost/total")) == 5
+    assert set(events.Tags()["images"]) == {"motion", "learning_curves"}
+    assert "_hparams_/session_start_info" in events.summary_metadata
+
+
+def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_path):
+    options = ViaPointOptions(runs=2, updates=4, rollouts=5, logdir=tmp_path)
+    assert costs(run(options)) == costs(finished)
+    options.seed = 1
+    assert costs(run(options))[1:] != costs(finished)[1:]
+
+
+def test_runs_of_one_batch_differ(finished):
+    assert len(set(costs(finished)[-1])) == 2
+
+
+def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one(tmp_path):
+    command = [sys.executable, "-m", "train", "via_point", "--runs", "2", "--updates", "120", "--logdir"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    where = {"cwd": ROOT, "env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    subprocess.run([*command, str(tmp_path / "whole")], check=True, **where)
+    with subprocess.Popen([*command, str(tmp_path / "killed")], **where) as process:
+        deadline = time.monotonic() + 120
+        while not list((tmp_path / "killed").rglob("checkpoint.pt")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGKILL)
+    (folder,) = (tmp_path / "killed" / "via_point" / "pibb").iterdir()
+    assert not (folder / "results.json").exists(), "the run ended before it was killed"
+    saved = torch.load(folder / "checkpoint.pt", weights_only=True)
+    assert 1 < len(saved["history"]["cost"]) < 121
+    subprocess.run([sys.executable, "-m", "train", "via_point", "--resume", str(folder)], check=True, **where)
+    (whole,) = (tmp_path / "whole" / "via_point" / "pibb").iterdir()
+    assert costs(folder) == costs(whole)
+    a, b = (torch.load(f / "policy.pt", weights_only=True) for f in (folder, whole))
+    assert all(torch.equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"runs": 0}, "--runs has to be at least 1, got 0"),
+        ({"updates": -1}, "--updates has to be at least 0, got -1"),
+        ({"rollouts": 0}, "--rollouts has to be at least 1, got 0"),
+        ({"noise": -0.1}, "mean_speed has to be finite and ≥ 0, got -0.1"),
+        ({"resume": Path("nowhere")}, "--resume nowhere: no options.json there"),
+    ],
+)
+def test_wrong_options_are_refused_before_a_folder_is_made(options, words, tmp_path):
+    with pytest.raises(InvalidArgumentError, match=words):
+        run(ViaPointOptions(logdir=tmp_path, **options))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_wrong_option_of_the_command_is_one_line_and_exit_code_2():
+    command = [sys.executable, "-m", "train", "via_point", "--mixture", "nowhere.npz"]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert ended.stderr.strip().startswith("error: nowhere.npz is no .npz file of a mixture")
+    assert "Traceback" not in ended.stderr
+
+
+def test_zero_updates_leave_the_imitated_policy(tmp_path):
+    assert len(costs(run(ViaPointOptions(updates=0, logdir=tmp_path)))) == 1
+
+
+@pytest.mark.parametrize("exploration", ["homogeneous", "gaussian"])
+@pytest.mark.parametrize("decay", ["inverse", "none"])
+def test_every_exploration_and_decay_runs(exploration, decay, tmp_path):
+    run(ViaPointOptions(updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))

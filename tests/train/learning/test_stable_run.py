@@ -1,0 +1,58 @@
+"""The commands of the constrained reach: every stable exploration runs, and its certificate is logged."""
+
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch.testing import assert_close
+
+from torchds.errors import InvalidArgumentError
+from torchds.exploration import Stable, TrajectorySpace
+from train.learning.learner import Learner
+from train.learning.run import run
+from train.options import ConstrainedReachingOptions, ViaPointOptions
+
+
+@pytest.fixture(scope="module")
+def task():
+    return Learner(ConstrainedReachingOptions()).task
+
+
+def test_the_certificate_of_every_update_is_logged(tmp_path):
+    folder = run(ConstrainedReachingOptions(runs=2, updates=3, rollouts=5, logdir=tmp_path))
+    events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
+    eigenvalues = [event.value for event in events.Scalars("stability/largest_eigenvalue")]
+    assert len(eigenvalues) == 4
+    assert max(eigenvalues) < 0
+
+
+def test_zero_violations_over_a_full_training_run(task):
+    learner = Learner(ConstrainedReachingOptions(runs=3, exploration="stable-trajectory"), task)
+    learner.start()
+    assert learner.n_updates == 100
+    for _ in range(learner.n_updates):
+        learner.update()
+        assert learner.optim.explorations[0].scalars()["stability/largest_eigenvalue"] < 0
+        assert learner.policy.certificate(task.goal).stable.all()
+
+
+@pytest.mark.parametrize("shrink", ["all", "direction", "none"])
+def test_options_reach_the_exploration(task, shrink):
+    made = Learner(ConstrainedReachingOptions(noise=0.07, shrink=shrink), task).optim.explorations[0]
+    assert isinstance(made, Stable)
+    assert (made.std, made.shrink, made.P) == (0.07, shrink, None)
+    options = ConstrainedReachingOptions(exploration="stable-trajectory", noise=0.4, shrink=shrink)
+    made = Learner(options, task).optim.explorations[0]
+    assert isinstance(made.std, TrajectorySpace)
+    usual = Learner(ConstrainedReachingOptions(exploration="stable-trajectory"), task).optim.explorations[0]
+    assert_close(made.std.spread, 8 * usual.std.spread)  # 0.4 in place of a twentieth of the extent
+    assert made.shrink == shrink
+    assert made.std.goal is not None
+
+
+def test_a_learned_metric_reaches_the_exploration():
+    learner = Learner(ConstrainedReachingOptions(condition="p-qlf"))
+    assert learner.optim.explorations[0].P is learner.task.P
+
+
+def test_stable_exploration_of_a_policy_that_is_not_stable_is_refused():
+    with pytest.raises(InvalidArgumentError, match="does not rest at the goal"):
+        Learner(ViaPointOptions(exploration="stable"))

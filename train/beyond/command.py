@@ -1,0 +1,235 @@
+"""What the paper leaves to others, measured at equal numbers of trajectories: `python -m train beyond`."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import scipy.stats
+from tqdm import tqdm
+
+import tasks
+from torchds import GaussianMixture
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.optim import PolicySearch, repeated
+from torchds.recruiting import most_wanted, recruit
+from train.beyond.starts import one_start
+from train.folder import versions, write_json
+from train.learning.learner import Learner
+from train.options import TASK_OPTIONS, RunOptions
+from train.searchers.named import make_closure, make_decay, make_optimizer
+
+Experiment = Literal["recruit", "noise", "starts"]
+LearnerName = Literal["pibb", "recommended"]
+LEARNERS: dict[LearnerName, dict[str, Any]] = {
+    "pibb": {},
+    "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
+}
+"""Options of the learners: the paper's, and `--optimizer surrogate --exploration trajectory`."""
+
+SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (10, 10, 5))
+"""Policies of an update, updates, and trials of each policy: 500 trials."""
+
+
+class Way(NamedTuple):
+    """One row to be.
+
+    Attributes:
+        group: what it is compared in; the first way of a group is the paper's.
+        label: its name there.
+        options: of the learner.
+        n_components: K; None for the task's own.
+        change: what is done to the learner before it learns.
+        grow: shares of the updates after which Gaussians are recruited.
+        trajectories: of each roll-out.
+    """
+
+    group: str
+    label: str
+    options: RunOptions
+    n_components: int | None = None
+    change: Callable[[Learner], None] | None = None
+    grow: Sequence[float] = ()
+    trajectories: int = 1
+
+
+@dataclass
+class Beyond:
+    """Recruiting Gaussians, noise in the system, and one start a trial, each against the paper's way."""
+
+    experiments: tuple[Experiment, ...] = get_args(Experiment)
+    """recruit: new Gaussians where the motion needs them. noise: policies or repeats. starts: one start a trial."""
+    learners: tuple[LearnerName, ...] = get_args(LearnerName)
+    """pibb: as in the paper. recommended: --optimizer surrogate --exploration trajectory."""
+    levels: tuple[float, ...] = (0.0, 0.1, 0.5)
+    """Standard deviations of noise in the cost of a trial, as shares of the initial policy's cost."""
+    runs: int = 20
+    """Learning runs of each row, in one batch."""
+    seed: int = 0
+    """Of the exploration noise."""
+    width: float = 2.0
+    """Of the recruited Gaussians [position unit of the task]."""
+    budget: float = 1.0
+    """Factor on the updates of every row; less than one for a quick look."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where to write: LOGDIR/beyond/."""
+
+    def main(self) -> Path:
+        """Run, write tables and costs, and return their folder.
+
+        Raises:
+            InvalidArgumentError: numbers out of range.
+            UnknownNameError: an experiment or a learner that does not exist.
+        """
+        for kind, received, known in (
+            ("experiment", self.experiments, get_args(Experiment)),
+            ("learner", self.learners, get_args(LearnerName)),
+        ):
+            for name in received:
+                if name not in known:
+                    raise UnknownNameError(kind, name, known)
+        if self.runs < 2 or not self.budget > 0 or not self.width > 0 or min(self.levels, default=0.0) < 0:
+            raise InvalidArgumentError(
+                f"--runs of at least 2, a positive --budget and --width and --levels ≥ 0 are needed, got {self.runs}, "
+                f"{self.budget}, {self.width} and {self.levels}"
+            )
+        folder = self.logdir / "beyond" / time.strftime("%Y%m%d-%H%M%S")
+        folder.mkdir(parents=True)
+        lines = [
+            "# Beyond the paper",
+            "",
+            f"Cost of the noise-free policy after the last update: median and quartiles of {self.runs} seeds; p of the "
+            "two-sided Mann-Whitney test against the first row of the group.",
+        ]
+        found: dict[str, list[dict[str, Any]]] = {}
+        for experiment in self.experiments:
+            ways = list(getattr(self, experiment)())
+            results = [self.final(way) for way in tqdm(ways, unit="row", desc=experiment, dynamic_ncols=True)]
+            first = {way.group: costs for way, (_, costs) in reversed(list(zip(ways, results, strict=True)))}
+            lines += [
+                "",
+                f"## {experiment}",
+                "",
+                "| | way | trajectories | median | q1 | q3 | p |",
+                "|---|---|---|---|---|---|---|",
+            ]
+            for way, (trajectories, costs) in zip(ways, results, strict=True):
+                q1, median, q3 = np.quantile(costs, [0.25, 0.5, 0.75])
+                base = first[way.group]
+                p = "" if base is costs else f"{scipy.stats.mannwhitneyu(costs, base).pvalue:.1g}"
+                lines.append(
+                    f"| {way.group} | {way.label} | {trajectories} | {median:.3g} | {q1:.3g} | {q3:.3g} | {p} |"
+                )
+                row = {"group": way.group, "way": way.label, "trajectories": trajectories, "cost": costs}
+                found.setdefault(experiment, []).append(row)
+        text = "\n".join(lines) + "\n"
+        (folder / "report.md").write_text(text)
+        write_json(folder / "costs.json", {"versions": versions(), "rows": found})
+        print(text)
+        print(f"report.md and costs.json in {folder}")
+        return folder
+
+    def final(self, way: Way) -> tuple[int, list[float]]:
+        """Trajectories spent, and the final costs of the runs."""
+        options: dict[str, Any] = {} if way.n_components is None else {"mixture": fitted(way.options, way.n_components)}
+        task = tasks.make(way.options.task, **{**way.options.task_options(), **options})
+        learner = Learner(way.options, task)
+        if way.change is not None:
+            way.change(learner)
+        due = [round(share * learner.n_updates) for share in way.grow]
+        learner.start()
+        while learner.done < learner.n_updates:
+            if learner.done in due:
+                grow(learner, self.width)
+            learner.update()
+        return learner.history.rollouts[-1] * way.trajectories, learner.history.cost[-1]
+
+    def options(self, task: str, updates: int, **more: Any) -> RunOptions:
+        """The options of one row."""
+        return TASK_OPTIONS[task](runs=self.runs, seed=self.seed, updates=max(1, round(self.budget * updates)), **more)
+
+    # ------------------------------------------------------------------ the experiments
+
+    def recruit(self) -> Iterator[Way]:
+        """Few Gaussians, the same with recruiting, and as many from the beginning."""
+        problems: list[tuple[str, dict[str, Any], LearnerName]] = [
+            ("via_point", {"shape": "N"}, "pibb"),
+            ("via_point", {"shape": "P"}, "pibb"),
+            ("via_point", {"shape": "N"}, "recommended"),
+            ("via_point", {"shape": "P"}, "recommended"),
+            ("two_starts", {}, "pibb"),
+        ]
+        for task, own, learner in problems:
+            if learner not in self.learners:
+                continue
+            group = f"{own.get('shape', task)}, {learner}"
+            two = task == "two_starts"
+            options = self.options(task, 100 if two else 50, **own, **LEARNERS[learner])
+            way = Way(group, "3, frozen, as in the paper", options, 3, trajectories=1 + two)
+            yield way
+            yield way._replace(label="3, and 3 more after 1/8 of the updates", grow=(1 / 8,))
+            yield way._replace(label="3, and 3 more after 1/2 of the updates", grow=(1 / 2,))
+            yield way._replace(label="6, frozen", n_components=6)
+
+    def noise(self) -> Iterator[Way]:
+        """Policies or repeats, under noise of several sizes."""
+        for std in self.levels:
+            for learner in self.learners:
+                for n, updates, repeats in SPLITS:
+                    label = f"{n} policies × {repeats} trials an update"
+                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **LEARNERS[learner])
+                    yield Way(
+                        f"noise {std}, {learner}", label, options, change=partial(repeat, repeats), trajectories=repeats
+                    )
+
+    def starts(self) -> Iterator[Way]:
+        """Both starts in each trial, or one, at equal numbers of trajectories."""
+        for learner in self.learners:
+            group = f"two_starts, {learner}"
+            yield Way(
+                group,
+                "both starts, as in the paper",
+                self.options("two_starts", 100, **LEARNERS[learner]),
+                trajectories=2,
+            )
+            for n, updates in ((40, 100), (20, 200)):
+                options = self.options("two_starts", updates, rollouts=n, **LEARNERS[learner])
+                yield Way(group, f"one start, {n} policies an update", options, change=one_each)
+
+
+def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
+    """A mixture of another number of Gaussians over the task's own demonstrations."""
+    return GaussianMixture.fit(tasks.make(options.task, **options.task_options()).demonstrations, n_components)
+
+
+def repeat(repeats: int, learner: Learner) -> None:
+    """Try each policy several times."""
+    learner.closure = repeated(learner.closure, learner.policy.parameters(), repeats)
+
+
+def one_each(learner: Learner) -> None:
+    """Try each policy from one start only."""
+    optim = learner.optim
+    assert isinstance(optim, PolicySearch)
+    learner.closure = one_start(learner.task, learner.policy, optim.n_rollouts, optim.param_groups[0]["temperature"])
+
+
+def grow(learner: Learner, width: float) -> None:
+    """Recruit Gaussians where the motion of each run needs them, and learn on; noise and decay go on where they were."""
+    task, options, before, decay = learner.task, learner.options, learner.optim, learner.decay
+    assert isinstance(before, PolicySearch) and decay is not None and learner.path is not None
+    learner.policy = recruit(learner.policy, most_wanted(learner.path, task.cost), width)
+    learner.optim = optim = make_optimizer(options, task, learner.policy)
+    assert isinstance(optim, PolicySearch)
+    learner.decay = make_decay(options, task, optim)
+    assert learner.decay is not None
+    optim.generator = before.generator
+    learner.decay.load_state_dict(copy.deepcopy(decay.state_dict()))
+    optim.param_groups[0]["lr"] = before.param_groups[0]["lr"]
+    learner.closure = make_closure(optim, task, learner.policy)

@@ -1,0 +1,1 @@
+"""Optimizers beside each other at equal numbers of roll-outs."""

@@ -1,0 +1,241 @@
+"""Optimizers beside each other, on the same tasks and budgets: `python -m train compare`."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import torch
+from tqdm import tqdm
+
+import tasks
+from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
+from train.compare import report as compare_report
+from train.compare.report import Row
+from train.folder import median, results, save_checkpoint, versions, write_json
+from train.learning.learner import Learner
+from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, Interrupted
+from train.options import TASK_OPTIONS, Optimizer, RunOptions
+from train.searchers.methods import METHODS
+
+PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "via_point-N": ("via_point", {"shape": "N"}),
+    "via_point-P": ("via_point", {"shape": "P"}),
+    **{name: (name, {}) for name in TASK_OPTIONS if name != "via_point"},
+}
+"""What can be compared: task and options by name."""
+
+SAVE_EVERY = 10.0  # s between two checkpoints
+TUNING_SEED = 1000  # added to the seed of the reported runs
+
+Coordinates = Literal["plain", "trajectory"]
+
+
+class Candidate(NamedTuple):
+    """One row to be: an optimizer on a problem, with noise or coordinates of one kind."""
+
+    problem: str
+    optimizer: str
+    coordinates: Coordinates
+
+    @property
+    def label(self) -> str:
+        """As tables and legends have it."""
+        return self.optimizer if self.coordinates == "plain" else f"{self.optimizer}, trajectory"
+
+
+@dataclass
+class Compare:
+    """Compare optimizers at equal numbers of roll-outs; runs that exist are not made again.
+
+    The first step of every method is tuned over the same factors, on seeds of its own, before the reported runs.
+    """
+
+    tasks: tuple[str, ...] = ("via_point-N", "via_point-P")
+    """Problems: via_point-N, via_point-P and the other tasks by their names."""
+    optimizers: tuple[str, ...] = get_args(Optimizer)
+    """As --optimizer of the training commands."""
+    coordinates: tuple[Coordinates, ...] = ("plain", "trajectory")
+    """plain: noise or coordinates homogeneous in task space, each parameter by itself. trajectory: along the motion."""
+    runs: int = 20
+    """Reported runs of each row, in one batch; where nothing is random, one stands for all."""
+    seed: int = 0
+    """Of the reported runs; the tuning runs have others."""
+    updates: int | None = None
+    """Updates of a sampling optimizer, which say the budget for all; the task's own number if not given."""
+    factors: tuple[float, ...] = (1 / 3, 1.0, 3.0)
+    """Factors on each method's first step (--scale) that the tuning tries; a single one needs no tuning."""
+    tuning_runs: int = 5
+    """Runs behind each choice."""
+    noise_std: float = 0.0
+    """Standard deviation of noise in the cost of each trial, as a share of the initial policy's cost."""
+    add: tuple[Path, ...] = ()
+    """Folders of finished runs to list too, of whatever command; here PPO and SAC come in."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where to write: LOGDIR/compare/."""
+
+    def main(self) -> Path:
+        """Run what is missing; write tables, figure and TensorBoard files, and return their folder.
+
+        Raises:
+            InvalidArgumentError: numbers out of range, or a folder without results.
+            UnknownNameError: a task or an optimizer that does not exist.
+            Interrupted: from the keyboard; the same command continues.
+        """
+        self.check()
+        added = [self.added(path) for path in self.add]
+        candidates = [
+            Candidate(problem, optimizer, coordinates)
+            for problem in self.tasks
+            for optimizer in self.optimizers
+            for coordinates in self.coordinates
+        ]
+        rows: list[Row] = []
+        with tqdm(total=len(candidates), unit="row", dynamic_ncols=True) as bar:
+            try:
+                for candidate in candidates:
+                    bar.set_postfix_str(f"{candidate.problem}: {candidate.label}")
+                    rows.append(self.row(candidate, bar))
+                    bar.update()
+            except KeyboardInterrupt:
+                raise Interrupted("stopped; the same command continues") from None
+        rows += added
+        folder = self.logdir / "compare" / time.strftime("%Y%m%d-%H%M%S")
+        folder.mkdir(parents=True)
+        text = compare_report.write(folder, rows, self.to_json(), versions())
+        print(text)
+        print(f"tables, curves and TensorBoard files in {folder}")
+        return folder
+
+    def check(self) -> None:
+        """Refuse what cannot be compared, before anything runs."""
+        for kind, received, known in (
+            ("problem", self.tasks, PROBLEMS),
+            ("optimizer", self.optimizers, get_args(Optimizer)),
+            ("coordinates", self.coordinates, get_args(Coordinates)),
+        ):
+            for name in received:
+                if name not in known:
+                    raise UnknownNameError(kind, name, known)
+        if self.runs < 1 or self.tuning_runs < 1 or not self.factors or min(self.factors) <= 0 or self.noise_std < 0:
+            raise InvalidArgumentError(
+                f"--runs and --tuning-runs of at least 1, positive --factors and --noise-std ≥ 0 are needed, got {self.runs}, "
+                f"{self.tuning_runs}, {self.factors} and {self.noise_std}"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**asdict(self), "logdir": str(self.logdir), "add": [str(path) for path in self.add]}
+
+    # ------------------------------------------------------------------ one row
+
+    def row(self, candidate: Candidate, bar: tqdm) -> Row:
+        """Tune, run, and summarise one candidate; what a method refuses is its row."""
+        random = self.random(candidate.optimizer)
+        try:
+            tuned = (
+                {factor: self.final(candidate, factor, bar) for factor in self.factors} if len(self.factors) > 1 else {}
+            )
+            best = min(tuned, key=lambda factor: tuned[factor]) if tuned else self.factors[0]
+            record = self.learned(self.options(candidate, best, self.runs if random else 1, self.seed), bar)
+        except TorchdsError as error:
+            return Row(candidate.problem, candidate.label, refused=str(error))
+        gradient = candidate.optimizer in METHODS and METHODS[candidate.optimizer].gradient
+        return Row(candidate.problem, candidate.label, record, best, tuned, random=random, gradient=gradient)
+
+    def final(self, candidate: Candidate, factor: float, bar: tqdm) -> float:
+        """What the choice goes by: the median final cost of the tuning runs, infinite where it is not a number."""
+        random = self.random(candidate.optimizer)
+        runs, seed = (self.tuning_runs, self.seed + TUNING_SEED) if random else (1, self.seed)
+        cost = median(self.learned(self.options(candidate, factor, runs, seed), bar)["cost"][-1])
+        return cost if cost == cost else float("inf")
+
+    def random(self, optimizer: str) -> bool:
+        """Whether runs of an optimizer differ."""
+        return optimizer not in METHODS or METHODS[optimizer].random or self.noise_std > 0
+
+    def options(self, candidate: Candidate, factor: float, runs: int, seed: int) -> RunOptions:
+        """The options of one batch of runs."""
+        task, own = PROBLEMS[candidate.problem]
+        kind = TASK_OPTIONS[task]
+        stable = kind.exploration == "stable"  # the policy's goal is tied: so are all coordinates
+        along = "stable-trajectory" if stable else "trajectory"
+        if stable and candidate.optimizer in METHODS:
+            own = {**own, "shrink": "none"}
+        return kind(
+            runs=runs,
+            seed=seed,
+            updates=self.updates,
+            optimizer=candidate.optimizer,  # type: ignore[arg-type] # a name of the registry
+            exploration=along if candidate.coordinates == "trajectory" else kind.exploration,  # type: ignore[arg-type]
+            scale=factor,
+            cost_noise=self.noise_std,
+            logdir=self.logdir,
+            **own,
+        )
+
+    def learned(self, options: RunOptions, bar: tqdm) -> dict[str, Any]:
+        """The results of these options: those on the disk, or new ones, continued where they were interrupted.
+
+        What is on the disk is found by its options alone; after a change of the code give another --logdir.
+        """
+        usual = type(options)().to_json()  # left out of the name: an option that is added later changes no names
+        own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
+        key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
+        folder = self.logdir / "compare" / "runs" / options.task / f"{options.optimizer}-{key}"
+        if (folder / RESULTS).is_file():
+            return json.loads((folder / RESULTS).read_text())
+        learner = Learner(options, made(options))
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
+        if (folder / CHECKPOINT).is_file():
+            learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
+        learner.start()
+        saved = time.monotonic()
+        while learner.done < learner.n_updates:
+            learner.update()
+            bar.set_postfix_str(f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}")
+            if time.monotonic() - saved > SAVE_EVERY:
+                save_checkpoint(folder / CHECKPOINT, learner.state_dict())
+                saved = time.monotonic()
+        write_json(folder / RESULTS, results(options.task, options.to_json(), learner.history))
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+        return json.loads((folder / RESULTS).read_text())
+
+    # ------------------------------------------------------------------ rows of others
+
+    def added(self, folder: Path) -> Row:
+        """A row from the results.json of another run.
+
+        Raises:
+            InvalidArgumentError: there is none.
+        """
+        if not (folder / RESULTS).is_file():
+            raise InvalidArgumentError(
+                f"--add {folder}: no {RESULTS} there; give the folder of a finished run, below logs/"
+            )
+        record = json.loads((folder / RESULTS).read_text())
+        shape = record["options"].get("shape")
+        problem = record["task"] if shape is None else f"{record['task']}-{shape}"
+        gradient = record["options"]["optimizer"] in METHODS and METHODS[record["options"]["optimizer"]].gradient
+        return Row(problem, f"{record['options']['optimizer']}, added", record, gradient=gradient)
+
+
+_made: dict[str, tuple[tasks.Task, dict[str, Any]]] = {}
+
+
+def made(options: RunOptions) -> tasks.Task:
+    """The task of these options as if new, fitted once for all rows."""
+    key = json.dumps([options.task, {name: str(value) for name, value in options.task_options().items()}])
+    if key not in _made:
+        _made.clear()
+        task = tasks.make(options.task, **options.task_options())
+        _made[key] = task, copy.deepcopy(task.state_dict())
+    task, state = _made[key]
+    task.load_state_dict(state)
+    return task

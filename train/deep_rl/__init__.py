@@ -1,0 +1,1 @@
+"""PPO and SAC on the tasks as Gymnasium environments."""

@@ -1,0 +1,123 @@
+"""Deep reinforcement learning on a task: `python -m train deep_rl ViaPointN --optimizer ppo`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+import tyro
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+import tasks
+from tasks.base import total
+from tasks.trials import PROBLEMS
+from torchds.errors import InvalidArgumentError
+from train.folder import History, median, results, table, write_json
+from train.learning.run import OPTIONS, RESULTS, Interrupted, new_folder
+
+EVALUATIONS = 50  # at most, besides the first; a trial takes as long as a tenth of an update
+
+
+@dataclass
+class DeepRL:
+    """Learn a task with PPO or SAC: a small net that corrects the demonstrated policy at every time step.
+
+    The budget is counted in roll-outs (episodes), as for all other optimizers; by default it is the task's own. The cost is
+    that of the deterministic policy, without a control cost: there is no θ that it could be of.
+    """
+
+    environment: tyro.conf.Positional[
+        Literal["ViaPointN", "ViaPointP", "TwoStarts", "DivergentField", "HalfPlaneForce", "ConstrainedReaching"]
+    ]
+    """The task, as `torchds/<this>-v0` in Gymnasium."""
+    optimizer: Literal["ppo", "sac"] = "ppo"
+    """ppo: proximal policy optimization. sac: soft actor-critic."""
+    runs: int = 3
+    """Independent runs, one after the other."""
+    seed: int = 0
+    """Of the first run; the others count up."""
+    updates: int | None = None
+    """Batches of roll-outs; the task's number of updates if not given."""
+    rollouts: int | None = None
+    """Roll-outs in a batch; the task's own number if not given."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where runs write: LOGDIR/<task>/<optimizer>/<time>-<seed>/."""
+
+    @property
+    def task(self) -> str:
+        """The name of the task."""
+        return PROBLEMS[self.environment]["task"]
+
+    def task_options(self) -> dict[str, Any]:
+        """The options that go to `tasks.make`."""
+        return {name: value for name, value in PROBLEMS[self.environment].items() if name != "task"}
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, the options of the task among them."""
+        return {**asdict(self), "logdir": str(self.logdir), **self.task_options()}
+
+    def main(self) -> Path:
+        """Learn, log, and return the folder of the run.
+
+        Raises:
+            MissingPackageError: without the extra "baselines".
+            InvalidArgumentError: options that do not fit.
+            Interrupted: from the keyboard; a run cannot be resumed.
+        """
+        from train.deep_rl import agents
+
+        for name in ("runs", "updates", "rollouts"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InvalidArgumentError(f"--{name} has to be at least 1, got {value}")
+        task = tasks.make(self.task, **self.task_options())
+        n_updates = self.updates or task.search.n_updates
+        n_rollouts = self.rollouts or task.search.n_rollouts
+        folder = new_folder(self.logdir, self.task, self.optimizer, self.seed)
+        write_json(folder / OPTIONS, {"task": self.task, "options": self.to_json()})
+        print(f"{self.environment}: {self.runs} run(s) of {self.optimizer}, logs in {folder}")
+        curves: dict[int, list[dict[str, Tensor]]] = {}  # the terms of each run, by update
+        began = time.perf_counter()
+        bar = tqdm(total=self.runs * n_updates, unit="update", dynamic_ncols=True)
+
+        def report(update: int, terms: dict[str, Tensor] | None) -> None:
+            if terms is not None:
+                curves.setdefault(update, []).append(terms)
+                bar.set_postfix_str(f"cost {float(total(terms.values())):.4g}", refresh=False)
+            bar.update(update > 0)
+
+        try:
+            for seed in range(self.seed, self.seed + self.runs):
+                agent, normalized = agents.learn(
+                    self.optimizer,
+                    task,
+                    n_updates=n_updates,
+                    n_rollouts=n_rollouts,
+                    seed=seed,
+                    every=max(n_updates // EVALUATIONS, 1),
+                    report=report,
+                )
+                agent.save(folder / f"agent-{seed}.zip")
+                normalized.save(str(folder / f"normalization-{seed}.pkl"))
+        except KeyboardInterrupt:
+            raise Interrupted(f"stopped; {folder} has the agents that were ready") from None
+        finally:
+            bar.close()
+        history = History(seconds=time.perf_counter() - began)
+        with SummaryWriter(str(folder)) as writer:
+            for update, runs in curves.items():
+                terms = {name: torch.stack([run[name] for run in runs]) for name in runs[0]}
+                history.add(update * n_rollouts, terms, failed=0, forward_equivalents=update * n_rollouts)
+                writer.add_scalar("cost/total", median(history.cost[-1]), update)
+                for name, values in terms.items():
+                    writer.add_scalar(f"cost/{name}", values.median(), update)
+                writer.add_scalar("rollouts/total", history.rollouts[-1], update)
+        write_json(folder / RESULTS, results(self.task, self.to_json(), history))
+        print(table(history))
+        print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; agents and results in {folder}")
+        return folder

@@ -1,0 +1,1 @@
+"""Learning with a real robot, through files."""

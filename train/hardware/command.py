@@ -1,0 +1,104 @@
+"""Learning to dig with a robot: `python -m train hardware start | ask | tell | status DIR`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from tasks.base import Convention
+from train.options import LwrDiggingOptions
+
+if TYPE_CHECKING:
+    from train.hardware.session import Session
+
+
+@dataclass
+class SessionOptions(LwrDiggingOptions):
+    """Those of the training command; fixed is what a robot brings by itself or has no use for."""
+
+    runs: tyro.conf.Fixed[int] = 1
+    elite: tyro.conf.Fixed[Literal["none", "nominal", "best"] | None] = "nominal"
+    cost_noise: tyro.conf.Fixed[float] = 0.0
+    grains: tyro.conf.Fixed[Literal["fine", "coarse"]] = "fine"
+    threads: tyro.conf.Fixed[int] = 1
+    convention: tyro.conf.Fixed[Convention] = "paper"
+    logdir: tyro.conf.Fixed[Path] = field(default_factory=lambda: Path("logs"))
+    resume: tyro.conf.Fixed[Path | None] = None
+
+
+@dataclass
+class Start:
+    """Begin a session in a new folder."""
+
+    folder: tyro.conf.Positional[Path]
+    """Of the session."""
+    options: tyro.conf.OmitArgPrefixes[tyro.conf.SuppressFixed[SessionOptions]] = field(default_factory=SessionOptions)
+
+    def main(self) -> None:
+        """Begin, and say what comes next."""
+        from train.hardware.session import Session  # as in `InSession`
+
+        print(Session.start(self.folder, self.options).status())
+
+
+@dataclass
+class InSession:
+    """A command to a session that is there."""
+
+    folder: tyro.conf.Positional[Path]
+    """Of the session."""
+
+    def session(self) -> Session:
+        """The session, as it was left."""
+        from train.hardware.session import Session  # needs MuJoCo, as only the digging task does
+
+        return Session.open(self.folder)
+
+
+@dataclass
+class Ask(InSession):
+    """Write the roll-outs to execute; the same ones until they are told."""
+
+    def main(self) -> None:
+        """Ask, and say what to do."""
+        print(self.session().ask())
+
+
+@dataclass
+class Tell(InSession):
+    """Make the update from the recordings or costs that lie beside the roll-outs."""
+
+    missing: Literal["wait", "failed"] = "wait"
+    """What a roll-out is that has not come back. wait: nothing happens before it is there. failed: it counts as failed."""
+
+    def main(self) -> None:
+        """Tell, and say what happened."""
+        print(self.session().tell(self.missing))
+
+
+@dataclass
+class Status(InSession):
+    """Say where a session stands, what it has cost so far, and what comes next."""
+
+    def main(self) -> None:
+        """Look, and change nothing."""
+        print(self.session().status())
+
+
+@dataclass
+class Hardware:
+    """Learn to dig with a robot, through files: see docs/hardware.md."""
+
+    command: tyro.conf.OmitSubcommandPrefixes[
+        Annotated[Start, tyro.conf.subcommand("start")]
+        | Annotated[Ask, tyro.conf.subcommand("ask")]
+        | Annotated[Tell, tyro.conf.subcommand("tell")]
+        | Annotated[Status, tyro.conf.subcommand("status")]
+    ]
+
+    def main(self) -> None:
+        """Do what the subcommand says."""
+        self.command.main()

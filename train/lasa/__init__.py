@@ -1,0 +1,1 @@
+"""The LASA benchmark: 26 motions with and without stability, beside published numbers."""

@@ -1,0 +1,1 @@
+"""A learning run: the learner, its folder, its figures."""

@@ -1,0 +1,1 @@
+"""Each claim of the paper as a rule that judges what was measured."""

@@ -1,0 +1,113 @@
+"""Every claim of the paper, measured: `python -m train claims`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from tqdm import tqdm
+
+import tasks
+import torchds
+import train
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.folder import versions, write_atomically, write_json
+from train.learning.run import Interrupted
+from train.paper.claims import digging, exploration, impedance, report, via_points
+from train.paper.claims.base import Check, Claim, Setting
+from train.paper.measured.digging import Experiment
+
+CLAIMS: dict[str, Claim] = {
+    claim.id: claim for claim in (*via_points.CLAIMS, *exploration.CLAIMS, *impedance.CLAIMS, *digging.CLAIMS)
+}
+
+
+@cache
+def source() -> str:
+    """A digest of the code that a result depends on, and of the libraries below it."""
+    digest = hashlib.sha256(json.dumps(versions()).encode())
+    for package in (torchds, tasks, train):
+        folder = Path(str(package.__file__)).parent
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass
+class Claims:
+    """Measure the claims of the paper: one row each, with statistics and a verdict.
+
+    What was measured with the same options and the same code is not measured again.
+    """
+
+    only: tuple[str, ...] = ()
+    """Claims to measure; all if not given. The table shows their names."""
+    runs: int = 20
+    """Learning runs behind a statistic, in one batch."""
+    seed: int = 0
+    """Seed of the exploration noise."""
+    digging: bool = False
+    """Run the digging experiment as far as it is not there (half an hour); without this its rows take what stands in
+    LOGDIR/lwr_digging/experiment-SEED/."""
+    keep: Path | None = None
+    """Write the page to this file, too."""
+    logdir: Path = Path("logs")
+    """Where to write: LOGDIR/claims/."""
+
+    def main(self) -> list[report.Row]:
+        """Measure what is missing, write claims.md and claims.csv, print the table, and return its rows.
+
+        Raises:
+            UnknownNameError: a claim that does not exist.
+            InvalidArgumentError: no runs.
+            Interrupted: from the keyboard; the same command continues.
+        """
+        for name in self.only:
+            if name not in CLAIMS:
+                raise UnknownNameError("claim", name, CLAIMS)
+        if self.runs < 1:
+            raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
+        experiment = Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed)
+        if self.digging:
+            experiment.trials()
+        setting = Setting(self.runs, self.seed, experiment)
+        folder = self.logdir / "claims"
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = []
+        with tqdm(self.only or tuple(CLAIMS), desc="claims", unit="claim", dynamic_ncols=True) as bar:
+            try:
+                for name in bar:
+                    bar.set_postfix_str(name)
+                    rows.append(
+                        report.Row(CLAIMS[name], self.checks(CLAIMS[name], setting, folder), self.command(name))
+                    )
+            except KeyboardInterrupt:
+                raise Interrupted("stopped; the same command continues") from None
+        report.write_csv(folder / "claims.csv", rows)
+        page = report.markdown(rows, self.runs, self.command(*self.only))
+        for path in (folder / "claims.md", *(() if self.keep is None else (self.keep,))):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, lambda temporary: temporary.write_text(page))
+        print(report.terminal(rows, self.runs))
+        print(f"claims.md and claims.csv in {folder}")
+        return rows
+
+    def checks(self, claim: Claim, setting: Setting, folder: Path) -> list[Check]:
+        """What was measured for a claim: kept from before, or new."""
+        if not claim.simulated:
+            return claim.measure(setting)
+        path, key = folder / f"{claim.id}.json", {"runs": self.runs, "seed": self.seed, "source": source()}
+        kept = json.loads(path.read_text()) if path.is_file() else {}
+        if kept.get("key") != key:
+            kept = {"key": key, "checks": [check._asdict() for check in claim.measure(setting)]}
+            write_json(path, kept)
+        return [Check(**fields) for fields in kept["checks"]]
+
+    def command(self, *names: str) -> str:
+        """What measures claims again, all of them without names."""
+        only = f" --only {' '.join(names)}" if names else ""
+        digging = " --digging True" if names and not any(CLAIMS[name].simulated for name in names) else ""
+        return f"python -m train claims{only} --runs {self.runs} --seed {self.seed}{digging}"

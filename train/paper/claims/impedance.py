@@ -1,0 +1,309 @@
+"""The claims of section 5: stiffness learned with the motion (Figs 9 to 14), and the controller."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+import tasks
+from tasks import DivergentField
+from torchds.impedance import ImpedanceControlled
+from torchds.plants import Command, PointMass
+from torchds.rollouts import Rollout, rollout
+from train.learning.learner import Learner
+from train.paper.claims.base import Check, Claim, Setting, changes, counted, course, early_share, lower, shared, within
+from train.paper.claims.exploration import watched
+from train.paper.figures.base import via_distances
+from train.paper.figures.impedance import final, stiffness_by_half
+
+N_TARGETS, MOVED, LONG = 20, 2.0, 600  # targets; their distance from the old one; steps after the move
+FORMS: tuple[Literal["implicit"], Literal["explicit"]] = ("implicit", "explicit")
+OVERSHOOT = 0.01  # of a step in the reference
+
+
+def points(task: tasks.Task) -> Tensor:
+    """The one set of via-points."""
+    (found,) = task.scene().via_points.values()
+    return found
+
+
+# ------------------------------------------------------------------ sections 5.1 and 5.2
+
+
+@torch.no_grad()
+def moving_target(setting: Setting) -> list[Check]:
+    """Learned stable policies whose target jumps half-way, to each of a ring of places."""
+    learner = watched(setting.runs, setting.seed).learner
+    task = learner.task
+    motion = task.motion()
+    angles = 2 * torch.pi * torch.arange(N_TARGETS, dtype=torch.float64) / N_TARGETS
+    targets = task.scene().goal + MOVED * torch.stack([angles.cos(), angles.sin()], -1)
+    half = motion["n_steps"] // 2 * motion["dt"]
+
+    def shift(t: float) -> Tensor:
+        return torch.where(torch.tensor(t < half), torch.zeros_like(targets), targets)
+
+    n_steps = motion["n_steps"] // 2 + LONG
+    x = rollout(learner.policy, motion["x0"].expand(N_TARGETS, 2), n_steps, motion["dt"], shift=shift).x
+    distance = (x[..., motion["n_steps"] // 2 :, :] - targets.unsqueeze(-2)).norm(dim=-1)  # (runs, N_TARGETS, LONG + 1)
+    nearer = (distance.diff(dim=-1) <= 0).all(-1)
+    arrived = distance[..., -1] <= 0.01 * distance[..., 0]
+    return [
+        counted("motions that come nearer to the new target in every step", int(nearer.sum()), nearer.numel()),
+        counted(
+            f"motions that end within 1 % of the distance, {LONG * motion['dt']:g} s later",
+            int(arrived.sum()),
+            arrived.numel(),
+        ),
+    ]
+
+
+@torch.no_grad()
+def overshoot(plant: ImpedanceControlled, stiffness: Tensor, dt: float) -> Tensor:
+    """How far the plant runs over a unit step of the reference `(N, 1)`; infinite where it diverges."""
+    one, zero = torch.ones_like(stiffness), torch.zeros_like(stiffness)
+    state, highest = plant.reset(zero), zero
+    for i in range(LONG):
+        state = plant.step(state, Command(one, one, zero, zero, stiffness, i * dt, dt))
+        highest = torch.maximum(highest, state.x.nan_to_num(nan=torch.inf))
+    return highest - 1
+
+
+def damping(setting: Setting) -> list[Check]:
+    """Overshoot at constant stiffnesses, all at once."""
+    stiffness = torch.logspace(-1, 3, 41, dtype=torch.float64)[:, None]  # what the force-field tasks allow
+    mass = PointMass(mass=1.0, damping=0.0)
+    good = [int((overshoot(ImpedanceControlled(mass, form=form), stiffness, 0.1) <= OVERSHOOT).sum()) for form in FORMS]
+    what = f"stiffnesses with less than 1 % overshoot ({good[1]} if the controller looks at the state before the step)"
+    return [counted(what, good[0], len(stiffness))]
+
+
+# ------------------------------------------------------------------ the divergent field
+
+
+def divergent(setting: Setting) -> Learner:
+    """The first experiment, learned."""
+    return shared("divergent_field", setting.runs, setting.seed)
+
+
+@torch.no_grad()
+def disturbed(setting: Setting) -> list[Check]:
+    """How far reference and point mass are from the nominal path, before learning."""
+    task = tasks.make("divergent_field")
+    assert isinstance(task, DivergentField)
+    path = task.rollout(task.policy())
+    reference, actual = ((x[1:, None] - task.nominal()).norm(dim=-1).amin(-1) for x in (path.reference, path.x))
+    return [
+        within("largest distance of the reference from the nominal path [m]", float(reference.max()), low=0.1),
+        within("that of the point mass, over it", float(actual.max() / reference.max()), low=1.1),
+    ]
+
+
+def falls_of_both(setting: Setting) -> list[Check]:
+    """The two costs."""
+    learner = divergent(setting)
+    return [
+        changes(f"{term.replace('_', '-')} cost", course(learner, term)[0], course(learner, term)[-1])
+        for term in ("stiffness", "via_points")
+    ]
+
+
+@torch.no_grad()
+def softer_and_closer(setting: Setting) -> list[Check]:
+    """Applied stiffness, and distances run by run."""
+    learner = divergent(setting)
+    path, task = final(learner), learner.task
+    before = via_distances(task.rollout(learner.initial).x, points(task)).mean()
+    closer = via_distances(path.x, points(task)).mean(-1) < before
+    assert isinstance(task, DivergentField)
+    mean = path.plant.stiffness[..., 1:, :].mean((-2, -1))
+    return [
+        changes("mean stiffness along the motion [N/m]", task.initial_stiffness, mean.numpy()),
+        counted("runs whose motion is nearer to the via-points, on average", int(closer.sum()), len(closer), 0.5),
+    ]
+
+
+def together(setting: Setting) -> list[Check]:
+    """Against learning one of the two alone."""
+    both = course(divergent(setting))[-1]
+    return [
+        lower(
+            f"final cost, both below {name} alone",
+            both,
+            course(shared("divergent_field", setting.runs, setting.seed, learn=name))[-1],
+        )
+        for name in ("motion", "stiffness")
+    ]
+
+
+# ------------------------------------------------------------------ the half-plane force
+
+
+def half_plane(setting: Setting, stiffness: str = "diagonal") -> Learner:
+    """The second experiment, learned."""
+    return shared("half_plane_force", setting.runs, setting.seed, stiffness=stiffness)
+
+
+@torch.no_grad()
+def missed(setting: Setting) -> list[Check]:
+    """Distance from the reference's path, and from the via-points, without and with the force, before learning."""
+    task = tasks.make("half_plane_force")
+    path = task.rollout(task.policy())
+    away = (path.x[..., None, :] - path.reference[0]).norm(dim=-1).amin(-1).amax(-1)  # of both executions
+    distances = via_distances(path.x, points(task))[:, -2:]
+    return [
+        within(
+            "without the force, largest distance of the motion from the reference's path [m]", float(away[0]), high=0.3
+        ),
+        within("with it, over that without", float(away[1] / away[0]), low=2.0),
+        within(
+            "distance to the last two via-points, with over without", (distances[1] / distances[0]).numpy(), low=2.0
+        ),
+    ]
+
+
+def profile(setting: Setting) -> list[Check]:
+    """Stiffness by axis and half."""
+    learner = half_plane(setting)
+    inside, outside = stiffness_by_half(final(learner))
+    before = 10.0
+    return [
+        changes("s2 where the force can be [N/m]", before, inside[:, 1].numpy(), falls=False),
+        changes("s2 elsewhere", before, outside[:, 1].numpy()),
+        changes("s1 where the force can be", before, inside[:, 0].numpy()),
+        changes("s1 elsewhere", before, outside[:, 0].numpy()),
+    ]
+
+
+@torch.no_grad()
+def less_deviated(setting: Setting) -> list[Check]:
+    """The reference's distances, and the gap between the two executions."""
+    learner = half_plane(setting)
+    before, after = learner.task.rollout(learner.initial), final(learner)
+
+    def gap(path: Rollout) -> Tensor:
+        return (path.x[..., 1, :, :] - path.x[..., 0, :, :]).norm(dim=-1).amax(-1)
+
+    def distance(path: Rollout) -> Tensor:
+        return via_distances(path.reference[..., 0, :, :], points(learner.task)).mean(-1)
+
+    return [
+        changes(
+            "mean distance of the reference to the via-points [m]", float(distance(before)), distance(after).numpy()
+        ),
+        changes(
+            "largest distance between the motions with and without the force [m]",
+            float(gap(before)),
+            gap(after).numpy(),
+        ),
+    ]
+
+
+def two_phases(setting: Setting) -> list[Check]:
+    """The stiffness cost at a tenth of the updates and at the end, and how soon the via-point cost falls."""
+    learner = half_plane(setting)
+    cost, via = course(learner, "stiffness"), course(learner, "via_points")
+    tenth = (len(cost) - 1) // 10
+    return [
+        changes("stiffness cost in the first tenth", cost[0], cost[tenth], falls=False),
+        changes("stiffness cost afterwards", cost[tenth], cost[-1]),
+        changes(
+            "share of the fall of the via-point cost in the first quarter, against one half",
+            0.5,
+            early_share(via),
+            falls=False,
+        ),
+    ]
+
+
+def diagonal(setting: Setting) -> list[Check]:
+    """Final costs."""
+    ours, theirs = (course(half_plane(setting, kind))[-1] for kind in ("diagonal", "isotropic"))
+    return [lower("final cost, diagonal below isotropic", ours, theirs)]
+
+
+CLAIMS = (
+    Claim(
+        "moving-target",
+        "5.1",
+        "With a stable system the motion still converges when the frame of the target moves.",
+        f"Of learned stable policies, the target jumping by {MOVED:g} to {N_TARGETS} places half-way: all motions come nearer "
+        "in every step, and arrive.",
+        moving_target,
+    ),
+    Claim(
+        "critical-damping",
+        "5.2, Eq. 33",
+        "A damping of 2 √(s m) keeps the controlled system critically damped.",
+        "Eq. 33 as printed overshoots a step of the reference by less than 1 %, at all stiffnesses that the tasks allow.",
+        damping,
+    ),
+    Claim(
+        "divergent-before",
+        "5.4, Fig. 9",
+        "Before learning the reference lies beside the nominal path, and in spite of the high stiffness the field disturbs the "
+        "motion.",
+        "The reference is off by more than 0.1 m, and the point mass by a tenth more than that.",
+        disturbed,
+    ),
+    Claim(
+        "divergent-motions",
+        "5.4, Fig. 10",
+        "The stiffness decreases, and still most motions pass nearer to the via-points.",
+        "Mean stiffness falls, and more than half of the runs come nearer.",
+        softer_and_closer,
+    ),
+    Claim(
+        "divergent-costs",
+        "5.4, Fig. 11",
+        "Both the stiffness cost and the via-point cost fall significantly.",
+        "So they do.",
+        falls_of_both,
+    ),
+    Claim(
+        "divergent-together",
+        "5.4",
+        "The task needs the reference and the stiffness to be refined together.",
+        "Learning both ends lower than learning either alone.",
+        together,
+    ),
+    Claim(
+        "half-plane-before",
+        "5.4, Fig. 12",
+        "Before learning the motion tracks its reference without the force, and with it is moved far from the last two "
+        "via-points.",
+        "Within 0.3 m without; with the force at least twice as far from the reference and from these via-points.",
+        missed,
+    ),
+    Claim(
+        "half-plane-motions",
+        "5.4, Fig. 13",
+        "The reference passes nearer to the via-points, and the disturbed motion is less deviated.",
+        "Both distances fall.",
+        less_deviated,
+    ),
+    Claim(
+        "half-plane-stiffness",
+        "5.4, Fig. 13",
+        "Stiffness across the motion rises where the force can be and falls before; along the motion it falls everywhere.",
+        "Mean applied stiffness of each axis in each half, from 10 N/m.",
+        profile,
+    ),
+    Claim(
+        "half-plane-phases",
+        "5.4, Fig. 14a",
+        "The via-point cost falls fast while the stiffness cost first rises, then that falls too.",
+        "The stiffness cost is higher after a tenth of the updates, lower again at the end, and the first quarter brings half "
+        "of the fall of the via-point cost.",
+        two_phases,
+    ),
+    Claim(
+        "diagonal-below-isotropic",
+        "5.4, Fig. 14b",
+        "A stiffness for each axis ends significantly lower than one for both.",
+        "So it does.",
+        diagonal,
+    ),
+)

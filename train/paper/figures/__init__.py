@@ -1,0 +1,1 @@
+"""The paper's figures, drawn from what was measured."""

@@ -1,0 +1,54 @@
+"""What the figures of the paper share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.stats
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from train.learning.learner import Learner
+from train.options import TASK_OPTIONS
+
+
+class Made(NamedTuple):
+    """A figure and the text below it, with the statistics measured while it was made."""
+
+    figure: Figure
+    caption: str
+
+
+def learned(task: str, runs: int, seed: int, **options: Any) -> Learner:
+    """`runs` learning runs of a task in one batch, finished."""
+    return Learner(TASK_OPTIONS[task](runs=runs, seed=seed, **options)).learn()
+
+
+def summary(values: Sequence[float]) -> str:
+    """Median and quartiles."""
+    q1, median, q3 = np.quantile(values, [0.25, 0.5, 0.75])
+    return f"{median:.3g} [{q1:.3g}, {q3:.3g}]"
+
+
+def below(a: Sequence[float], b: Sequence[float]) -> float:
+    """P of the one-sided Mann-Whitney test that `a` tends to be smaller than `b`."""
+    return float(scipy.stats.mannwhitneyu(a, b, alternative="less").pvalue)
+
+
+def via_distances(x: Tensor, points: Tensor) -> Tensor:
+    """Smallest distance of motions `x` `(..., T+1, D)` to each via-point `(L, D)`, `(..., L)`."""
+    return (x[..., 1:, None, :] - points).norm(dim=-1).amin(-2)
+
+
+def boxes(axes: Axes, samples: Mapping[str, Sequence[float]], ylabel: str) -> None:
+    """Box plots with the single runs on top."""
+    axes.boxplot(list(samples.values()), tick_labels=list(samples), showfliers=False, medianprops={"color": "black"})
+    for i, values in enumerate(samples.values(), start=1):
+        spread = i + 0.16 * np.linspace(-1, 1, len(values))
+        axes.plot(spread, values, "o", ms=3.5, alpha=0.5, color="#1f5fa8", label="one run" if i == 1 else "_nolegend_")
+    axes.set_ylabel(ylabel)
+    axes.grid(axis="y", alpha=0.3)
+    axes.legend(fontsize=8)

@@ -1,0 +1,1 @@
+"""What figures and claims measure; nothing is drawn or judged here."""

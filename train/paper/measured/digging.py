@@ -1,0 +1,100 @@
+"""The whole digging experiment (section 6): learning from two stiffnesses, and the uniform ones to compare with.
+
+Everything stands in one folder; what is there is not measured again, so that the experiment can be interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+import tasks
+from torchds import GMRPolicy
+from train.folder import versions, write_json
+from train.learning.learner import Learner
+from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, resume_options, run
+from train.options import LwrDiggingOptions
+
+STARTS = (150.0, 400.0)  # N/m
+LEARNERS: dict[str, dict[str, Any]] = {
+    "as in the paper": {"optimizer": "pibb", "exploration": "homogeneous"},
+    "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
+}
+UNIFORM = (75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
+TRIALS = 5
+TRIALS_FILE = "trials.json"
+TRIALS_SEED = 1000  # of the beds of the comparison, which no learning run has met
+Terms = dict[str, list[float]]
+
+
+class Experiment:
+    """Learning runs and measured trials in a folder.
+
+    Args:
+        folder: where everything stands.
+        seed: of the learning runs.
+        options: of the scene and of learning; initial stiffness, learner and seed are those of the experiment.
+    """
+
+    def __init__(self, folder: Path, seed: int, options: LwrDiggingOptions | None = None) -> None:
+        self.folder, self.seed = folder, seed
+        self.options = options if options is not None else LwrDiggingOptions()
+
+    def place(self, learner: str, start: float) -> Path:
+        """Where one learning run stands."""
+        return self.folder / f"{LEARNERS[learner]['optimizer']}-{start:g}"
+
+    def recorded(self) -> dict[str, Terms]:
+        """The trials that are there."""
+        path = self.folder / TRIALS_FILE
+        return json.loads(path.read_text())["trials"] if path.is_file() else {}
+
+    def learned(self, learner: str, start: float) -> Path:
+        """The folder of one learning run, which is made, continued or found finished."""
+        folder = self.place(learner, start)
+        options = replace(self.options, **LEARNERS[learner], initial_stiffness=start, seed=self.seed)
+        if not (folder / OPTIONS).is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
+        return folder if (folder / RESULTS).is_file() else run(replace(options, resume=folder))
+
+    def learner(self, learner: str, start: float) -> Learner:
+        """The finished run, as an object."""
+        folder = self.learned(learner, start)
+        finished = Learner(resume_options(folder))
+        finished.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
+        return finished
+
+    def trials(self) -> dict[str, Terms]:
+        """Costs of TRIALS trials `[TRIALS]` by term, "total" among them, of every uniform stiffness and learned policy."""
+        measured = self.recorded()
+        runs = {f"{learner}-{start:g}": (learner, start) for learner in LEARNERS for start in STARTS}
+        wanted = [f"uniform-{s:g}" for s in UNIFORM] + list(runs)
+        for name in tqdm([name for name in wanted if name not in measured], desc="trials", unit="policy"):
+            if name in runs:
+                learner, start = runs[name]
+                measured[name] = self.measure(start, self.learner(learner, start).policy[0])
+            else:
+                measured[name] = self.measure(float(name.removeprefix("uniform-")), None)
+            write_json(self.folder / TRIALS_FILE, {"trials": measured, "versions": versions()})
+        return measured
+
+    def measure(self, start: float, policy: GMRPolicy | None) -> Terms:
+        """TRIALS trials of a policy, or of the imitated one with the uniform stiffness `start`, on the same beds for all."""
+        task = tasks.make(
+            "lwr_digging", **{**self.options.task_options(), "initial_stiffness": start, "seed": TRIALS_SEED}
+        )
+        path, terms = task.evaluate((task.policy() if policy is None else policy).expand(TRIALS))
+        shown = {**terms, "total": torch.stack(list(terms.values())).sum(0), **task.diagnostics(path)}
+        return {name: values.tolist() for name, values in shown.items()}
+
+
+def best_uniform(trials: dict[str, Terms]) -> str:
+    """The name of the uniform stiffness with the lowest mean cost."""
+    return min((name for name in trials if name.startswith("uniform")), key=lambda name: np.mean(trials[name]["total"]))

@@ -1,0 +1,1 @@
+"""Whatever searches for a better policy, behind one interface."""

@@ -1,0 +1,82 @@
+"""Descent along a gradient: the exact one, one by finite differences, or one from the costs of random steps."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Generator
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from train.searchers.coordinates import Answer, Ask, Asking, Setting
+
+RATE = 0.1  # of Adam, for a scale of one; in standard deviations of the exploration
+WIDTH = 0.1  # of finite differences, the same unit
+
+Gradient = Generator[Ask, Answer, Tensor]
+
+
+def exact(z: Tensor) -> Gradient:
+    """By automatic differentiation of one trial."""
+    answer = yield Ask(z[None], z)
+    assert answer.gradient is not None
+    return answer.gradient[0]
+
+
+def forward_differences(z: Tensor) -> Gradient:
+    """(S(z + h e_i) − S(z)) / h, from P + 1 trials."""
+    trials = torch.cat([torch.zeros_like(z[:1]), WIDTH * torch.eye(z.shape[-1], dtype=z.dtype)])
+    answer = yield Ask(z + trials.unsqueeze(1), z)
+    return ((answer.cost[1:] - answer.cost[0]) / WIDTH).mT
+
+
+def score_function(z: Tensor, setting: Setting, generator: torch.Generator) -> Gradient:
+    """∇E[S(z + σ ε)] = E[(S − baseline) ε] / σ, with centred ranks in the place of costs (Salimans et al. 2017)."""
+    epsilon = torch.randn(setting.n_rollouts, *z.shape, dtype=z.dtype, generator=generator)
+    answer = yield Ask(z + setting.scale * epsilon, z)
+    rank = answer.cost.argsort(0).argsort(0).to(z.dtype)
+    advantage = rank / (len(rank) - 1) - 0.5
+    return (advantage.unsqueeze(-1) * epsilon).mean(0) / setting.scale
+
+
+def _descend(
+    setting: Setting, estimate: Callable[[Tensor], Gradient], optimizer: type[torch.optim.Optimizer], **options: Any
+) -> Asking:
+    """Follow one of torch's optimizers; where a gradient is not finite, it counts as zero."""
+    z = nn.Parameter(torch.zeros(setting.runs, setting.P, dtype=torch.float64))
+    optim = optimizer([z], **options)
+    while True:
+        gradient = yield from estimate(z.detach().clone())
+        z.grad = gradient.nan_to_num(0.0, 0.0, 0.0)
+        optim.step()
+
+
+def adam(setting: Setting) -> Asking:
+    """Adam on the exact gradient; every entry of z moves by at most about 0.1 a trial."""
+    return _descend(setting, exact, torch.optim.Adam, lr=RATE * setting.scale)
+
+
+def sgd(setting: Setting) -> Asking:
+    """Gradient descent with momentum 0.9, on gradients over the norm of the first one: the first step has the length 0.1."""
+    first: list[Tensor] = []
+
+    def relative(z: Tensor) -> Gradient:
+        gradient = yield from exact(z)
+        if not first:
+            first.append(torch.linalg.vector_norm(gradient, dim=-1, keepdim=True))
+        return gradient / first[0]
+
+    return _descend(setting, relative, torch.optim.SGD, lr=RATE * setting.scale, momentum=0.9)
+
+
+def finite_differences(setting: Setting) -> Asking:
+    """Adam on forward differences; steps are three times those of `adam`, since P + 1 trials allow few of them."""
+    return _descend(setting, forward_differences, torch.optim.Adam, lr=3 * RATE * setting.scale)
+
+
+def nes(setting: Setting) -> Asking:
+    """An evolution strategy of fixed width: Adam on the score-function gradient (REINFORCE over parameters)."""
+    generator = torch.Generator().manual_seed(setting.seed)
+    estimate = functools.partial(score_function, setting=setting, generator=generator)
+    return _descend(setting, estimate, torch.optim.Adam, lr=RATE * setting.scale)
