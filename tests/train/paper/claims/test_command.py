@@ -16,7 +16,7 @@ from torchds.exploration import Stable
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import PointMass
 from train.learning.run import Interrupted
-from train.paper.claims import base, digging, exploration, impedance
+from train.paper.claims import base, digging, exploration, impedance, via_points
 from train.paper.claims import command as claims
 from train.paper.claims.base import HELD, IN_PART, NOT_HELD, NOT_MEASURED, Check, Claim, Setting, verdict
 from train.paper.claims.command import CLAIMS, Claims
@@ -24,7 +24,7 @@ from train.paper.figures.base import via_distances
 from train.paper.figures.impedance import stiffness_by_half
 from train.paper.measured.digging import UNIFORM, Experiment
 
-SECTIONS = (learning, exploration, impedance, digging)
+SECTIONS = (via_points, exploration, impedance, digging)
 
 
 def read(path):
