@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, rollout
 from torchds.errors import InvalidArgumentError
-from torchds.exploration.homogeneous import Rule
+from torchds.exploration import Homogeneous
 from torchds.optim.functional import Temperature
 from torchds.plants import Plant
 from torchds.recordings import load
@@ -33,7 +33,7 @@ class SearchSettings:
         n_rollouts: N, roll-outs per update.
         control_weight: r of the control cost r I.
         mean_speed: of the homogeneous exploration [velocity unit of the task].
-        rule: of the homogeneous exploration.
+        homogeneous: the homogeneous exploration, made with `(policy, mean_speed, mean_stiffness=)`.
         std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
         spread: of the exploration along the motion [unit of each output]; None for a share of the motion, as all that
             belongs to it then (see `TrajectorySpace.relative`).
@@ -48,7 +48,7 @@ class SearchSettings:
     n_rollouts: int = 10
     control_weight: float = 5e-4
     mean_speed: float = 0.1
-    rule: Rule = "moment"
+    homogeneous: type[Homogeneous] = Homogeneous
     std: float = 0.01
     spread: tuple[float, ...] | None = None
     mean_stiffness: float = 0.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -446,8 +445,3 @@ def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:
         lead = torch.broadcast_shapes(*(t.shape[:-1] for t in last))
         tensors = [t.expand(*lead, t.shape[-1]).movedim(-1, dim) for t in last]
     return torch.cat(tensors, dim)
-
-
-def chi_mean(dim: int) -> float:
-    """E|z| of a standard normal vector: √(π/2) in 2-D (Rayleigh), 2√(2/π) in 3-D (Maxwell-Boltzmann)."""
-    return math.sqrt(2) * math.exp(math.lgamma((dim + 1) / 2) - math.lgamma(dim / 2))

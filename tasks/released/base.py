@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from tasks.base import SearchSettings
+from tasks.released.exploration import ReleasedHomogeneous
 from torchds import Demonstrations, GaussianMixture
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import PointMass
@@ -12,7 +13,7 @@ from torchds.plants import PointMass
 STIFFNESS = 10.0  # N/m, constant where the policy has no stiffness of its own
 FLOOR = 1e-5  # added to the covariances in every M-step, and once more at the end
 
-RELEASED_SEARCH = SearchSettings(rule="released", temperature="median", decay="linear")
+RELEASED_SEARCH = SearchSettings(homogeneous=ReleasedHomogeneous, temperature="median", decay="linear")
 
 
 def released_plant() -> ImpedanceControlled:

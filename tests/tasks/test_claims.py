@@ -26,7 +26,7 @@ def learn(shape, method):
     search = task.search
     assert (search.n_updates, search.n_rollouts) == (50, 10)
     policy = task.policy().expand(RUNS)
-    exploration = Homogeneous(policy, search.mean_speed, search.rule)
+    exploration = search.homogeneous(policy, search.mean_speed)
     factor, temperature = InverseIteration(), search.temperature
     if method == "trajectory":
         exploration = TrajectorySpace(policy, **task.motion(), spread=0.5, mean_speed=0.1, damping=1e-4)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import tasks
+from tasks.released.exploration import ReleasedHomogeneous
 from torchds import Demonstrations, GaussianMixture
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Homogeneous
@@ -106,7 +107,7 @@ def test_with_the_papers_settings_20_runs_learn_and_the_two_sides_part():
     policy = task.policy().expand(n)
     optim = PIBB(
         policy.parameters(),
-        Homogeneous(policy, search.mean_speed, search.rule),
+        search.homogeneous(policy, search.mean_speed),
         search.n_rollouts,
         temperature=search.temperature,
         control_weight=search.control_weight,
@@ -198,7 +199,7 @@ def test_the_released_policy_is_of_seven_gaussians_fitted_with_a_floor_that_is_a
 def test_the_released_settings_are_those_of_its_program():
     search = tasks.make("two_starts", convention="released", mixture=synthetic_mixture()).search
     assert (search.n_updates, search.n_rollouts, search.elite) == (200, 20, "best")
-    assert (search.rule, search.temperature, search.decay) == ("released", "median", "linear")
+    assert (search.homogeneous, search.temperature, search.decay) == (ReleasedHomogeneous, "median", "linear")
     assert (search.mean_speed, search.control_weight) == (0.1, 2.5e-4)
 
 

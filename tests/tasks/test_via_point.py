@@ -3,6 +3,7 @@ import pytest
 import torch
 
 import tasks
+from tasks.released.exploration import ReleasedHomogeneous
 from torchds import Demonstrations, GaussianMixture
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.optim import PIBB, InverseIteration
@@ -176,7 +177,8 @@ def test_cost_terms_are_those_of_the_released_program(shape):
 def test_the_released_settings_are_those_of_its_program():
     search = tasks.make("via_point", convention="released", mixture=synthetic_mixture()).search
     assert (search.n_updates, search.n_rollouts, search.elite, search.control_weight) == (50, 10, "none", 5e-4)
-    assert (search.rule, search.temperature, search.decay, search.mean_speed) == ("released", "median", "linear", 0.1)
+    assert (search.homogeneous, search.temperature, search.decay) == (ReleasedHomogeneous, "median", "linear")
+    assert search.mean_speed == 0.1
 
 
 def test_the_released_policy_is_fitted_with_a_floor_that_is_added_twice():

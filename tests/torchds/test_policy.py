@@ -12,7 +12,6 @@ from torch.testing import assert_close
 
 from torchds import Demonstrations, GaussianMixture, GMRPolicy
 from torchds.errors import DegenerateMixtureError, InvalidArgumentError
-from torchds.policy import chi_mean
 
 SIZES = {
     "one dimension": {"K": 2, "D": 1, "O": 1},
@@ -104,11 +103,6 @@ def test_the_jacobian_is_that_of_autograd(random_policy, randn, size, batch, poi
     y = torch.cat([policy(x), policy.stiffness(x)], -1)
     rows = [torch.autograd.grad(y_o.sum(), x, retain_graph=True)[0] for y_o in y.unbind(-1)]
     assert_close(policy.jacobian(x), torch.stack(rows, -2), rtol=1e-11, atol=1e-11)
-
-
-def test_chi_mean_is_the_mean_norm_of_unit_normals():
-    assert math.isclose(chi_mean(2), math.sqrt(math.pi / 2), rel_tol=1e-14)
-    assert math.isclose(chi_mean(3), 2 * math.sqrt(2 / math.pi), rel_tol=1e-14)
 
 
 # ---------------------------------------------------------------------- far from the data

@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
-from torchds.policy import GMRPolicy, chi_mean
+from torchds.policy import GMRPolicy
 
-Rule = Literal["moment", "centre", "printed", "released"]
+Rule = Literal["moment", "centre", "printed"]
 
 
 class Homogeneous(Exploration):
@@ -35,8 +35,6 @@ class Homogeneous(Exploration):
             * "centre": |μ_{k,d}|, Eq. 15 literally, but at least a hundredth of the Gaussian's standard deviation.
             * "printed": Eq. 16-17 as printed, which divide A_{j,d} by μ_j in place of μ_d (the indices exchanged: in
               Eq. 14 A_{j,d} multiplies x_d); with the same floor, for as many outputs as inputs.
-            * "released": max(|μ_{k,d}|, 1), as the authors' program has it; there `mean_speed` is a ratio of the
-              current policy's speed |f(μ_k)| at each centre, and stiffness slopes get a fifth of what the rule gives.
         direction: `(O,)` relative size of the noise in each output direction (section 4.4), normalised so that the
             total variance stays the same; None for isotropic noise.
         mean_stiffness: desired mean absolute noise of each stiffness row at the centres [N/m]; the same rule for one
@@ -81,42 +79,33 @@ class Homogeneous(Exploration):
         """Refuse parameters of another module."""
         name_parameters(self.policy, parameters, type(self).__name__)
 
-    def std(self) -> dict[str, Tensor]:
-        """The standard deviation of each parameter's noise by name: `(K, O, D)`, `(K, O)`, ...
-
-        For the rule "released", that of the velocity has the policy's batch in front.
-        """
-        policy = self.policy
-        K, D, O, Q = policy.n_components, policy.input_dim, policy.output_dim, policy.stiffness_dim
-        means, variances = policy.means, policy.covariances.diagonal(dim1=-2, dim2=-1)
+    def size(self) -> Tensor:
+        """M `(*gate_batch, K, D)`, the typical size of each input under each Gaussian, as the rule has it."""
+        means, variances = self.policy.means, self.policy.covariances.diagonal(dim1=-2, dim2=-1)
         if self.rule == "moment":
-            size = (means.square() + variances).sqrt()
-        elif self.rule == "released":
-            size = means.abs().clamp_min(1.0)
-        else:
-            size = torch.maximum(means.abs(), 0.01 * variances.sqrt())
-        slope = 1.0 / size  # (*gate_batch, K, D)
+            return (means.square() + variances).sqrt()
+        return torch.maximum(means.abs(), 0.01 * variances.sqrt())
+
+    def std(self) -> dict[str, Tensor]:
+        """The standard deviation of each parameter's noise by name, `(*gate_batch, *parameter)` without the policy's batch."""
+        policy = self.policy
+        D, O, Q = policy.input_dim, policy.output_dim, policy.stiffness_dim
+        slope = 1.0 / self.size()  # (*gate_batch, K, D)
         lead = slope.shape[:-1]
         share = math.sqrt(D + 1)
         # The indices of Eq. 16-17 are exchanged: row j is divided by μ_j.
         pattern = slope.unsqueeze(-1 if self.rule == "printed" else -2).expand(*lead, O, D)
-        axis = means.new_ones(O)
+        axis = slope.new_ones(O)
         if self.direction is not None:
-            axis = self.direction.to(means)
+            axis = self.direction.to(slope)
             axis = axis * (O / axis.square().sum()).sqrt()
         speed = axis * (self.mean_speed / chi_mean(O) / share)  # (O,)
         std = {"A": speed[:, None] * pattern, "b": speed.expand(*lead, O)}
-        if self.rule == "released":
-            centres = means.expand(*policy.batch_shape, K, D)
-            local = torch.linalg.vector_norm(policy(centres).detach(), dim=-1, keepdim=True)  # (*batch, K, 1)
-            std = {"A": local.unsqueeze(-1) * std["A"], "b": local * std["b"]}
         if Q:
-            # One output row has a half-normal norm; the program takes the two-dimensional factor for all rows.
-            s = self.mean_stiffness / chi_mean(O if self.rule == "released" else 1) / share
-            steep = 0.2 * s if self.rule == "released" else s
+            s = self.mean_stiffness / chi_mean(1) / share
             std |= {
-                "stiffness_A": steep * slope.unsqueeze(-2).expand(*lead, Q, D),
-                "stiffness_b": means.new_full((*lead, Q), s),
+                "stiffness_A": s * slope.unsqueeze(-2).expand(*lead, Q, D),
+                "stiffness_b": slope.new_full((*lead, Q), s),
             }
         return std
 
@@ -133,3 +122,8 @@ class Homogeneous(Exploration):
         return [
             torch.where(std[name] > 0, change / std[name], 0.0) for name, change in zip(names, changes, strict=True)
         ]
+
+
+def chi_mean(dim: int) -> float:
+    """E|z| of a standard normal vector: √(π/2) in 2-D (Rayleigh), 2√(2/π) in 3-D (Maxwell-Boltzmann)."""
+    return math.sqrt(2) * math.exp(math.lgamma((dim + 1) / 2) - math.lgamma(dim / 2))

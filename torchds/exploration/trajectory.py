@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
-from torchds.exploration.homogeneous import Homogeneous
-from torchds.policy import GMRPolicy, chi_mean
+from torchds.exploration.homogeneous import Homogeneous, chi_mean
+from torchds.policy import GMRPolicy
 from torchds.rollouts import rollout
 from torchds.sensitivity import sensitivity, stiffness_sensitivity
 

@@ -12,7 +12,7 @@ from tasks import Task
 from tasks.base import total
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
-from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable, TrajectorySpace
+from torchds.exploration import Exploration, Gaussian, Stable, TrajectorySpace
 from torchds.optim import (
     PI2,
     PI2CMA,
@@ -65,10 +65,9 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
             )
         return Stable(policy, along, goal, task.P, shrink=options.shrink) if stable else along
     mean_speed = search.mean_speed if options.noise is None else options.noise
-    return Homogeneous(
+    return search.homogeneous(
         policy,
         0.0 if learn == "stiffness" else mean_speed,
-        search.rule,
         mean_stiffness=0.0 if learn == "motion" else search.mean_stiffness,
     )
 

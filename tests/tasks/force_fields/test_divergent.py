@@ -8,8 +8,10 @@ import scipy.stats
 import torch
 
 import tasks
+from tasks.released.exploration import ReleasedHomogeneous
 from torchds import Demonstrations
 from torchds.errors import InvalidArgumentError
+from torchds.exploration import Homogeneous
 from train.learning.learner import Learner
 from train.options import DivergentFieldOptions
 
@@ -152,8 +154,8 @@ def test_the_settings_are_those_of_the_paper_and_of_the_released_program():
     paper, released = make("paper").search, make("released").search
     for search in (paper, released):
         assert (search.n_updates, search.n_rollouts, search.control_weight, search.elite) == (100, 10, 1e-6, "none")
-    assert (paper.rule, paper.temperature, paper.decay) == ("moment", "range", "inverse")
-    assert (released.rule, released.temperature, released.decay) == ("released", "median", "linear")
+    assert (paper.homogeneous, paper.temperature, paper.decay) == (Homogeneous, "range", "inverse")
+    assert (released.homogeneous, released.temperature, released.decay) == (ReleasedHomogeneous, "median", "linear")
     assert make("released").policy().n_components == 3
 
 

@@ -12,6 +12,7 @@ import scipy.stats
 import torch
 
 import tasks
+from tasks.released.exploration import ReleasedHomogeneous
 from torchds import GaussianMixture
 from torchds.errors import InvalidArgumentError
 from train.learning.learner import Learner
@@ -132,7 +133,7 @@ def test_the_settings_are_those_of_the_paper_and_of_the_released_program():
     assert [(s.n_updates, s.n_rollouts) for s in (paper, released)] == [(100, 10)] * 2
     # A search adds the control cost of both executions, so half of r = 1e-6 and of the released 1e-7 are their means.
     assert (paper.control_weight, released.control_weight) == (0.5e-6, 0.5e-7)
-    assert (released.rule, released.temperature, released.decay) == ("released", "median", "linear")
+    assert (released.homogeneous, released.temperature, released.decay) == (ReleasedHomogeneous, "median", "linear")
 
 
 @pytest.mark.parametrize(

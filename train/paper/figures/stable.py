@@ -12,8 +12,8 @@ from torch import Tensor
 import tasks
 from torchds import GMRPolicy, costs, plotting
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable
+from torchds.exploration.homogeneous import chi_mean
 from torchds.optim import PolicySearch
-from torchds.policy import chi_mean
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
 from train.learning.learner import Learner
 from train.options import ConstrainedReachingOptions
