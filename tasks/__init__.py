@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+from tasks.base import Motion as Motion
 from tasks.base import Scene as Scene
 from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
@@ -65,6 +66,7 @@ __all__ = [
     "ConstrainedReaching",
     "DivergentField",
     "HalfPlaneForce",
+    "Motion",
     "Scene",
     "SearchSettings",
     "Task",

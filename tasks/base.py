@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -22,6 +22,20 @@ from torchds.recordings import load
 from torchds.rollouts import StopCondition
 
 Convention = Literal["paper", "released"]
+
+
+class Motion(NamedTuple):
+    """Where a motion begins, and for how long it goes on: `rollout(policy, *motion)`.
+
+    Attributes:
+        x0: `(*points, D)` the starts.
+        n_steps: T.
+        dt: time step [s].
+    """
+
+    x0: Tensor
+    n_steps: int
+    dt: float
 
 
 @dataclass(frozen=True)
@@ -81,7 +95,7 @@ class Task(ABC):
     """A motion to learn: demonstrations, a way to try a policy, and what the trial costs.
 
     Args:
-        demonstrations: in place of the task's own, as an object or a path that `torchds.demonstrations.load` reads.
+        demonstrations: in place of the task's own, as an object or a path that `torchds.recordings.load` reads.
         mixture: in place of one fitted to the demonstrations, as an object or a path of an .npz file.
         convention: "paper" as printed, or "released" for the problem as the authors' program runs it, where a task
             has it.
@@ -133,8 +147,8 @@ class Task(ABC):
         """A new policy as learned from the demonstrations."""
 
     @abstractmethod
-    def motion(self) -> dict[str, Any]:
-        """`x0` `(*points, D)`, `n_steps` and `dt` [s] of the reference motion."""
+    def motion(self) -> Motion:
+        """Where the reference motion begins, and for how long it goes on."""
 
     @abstractmethod
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
@@ -176,7 +190,7 @@ class Task(ABC):
 
     def rollout(self, policy: GMRPolicy) -> Rollout:
         """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
-        return rollout(policy, **self.motion(), stop=self.stop, plant=self.plant)
+        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant)
 
     def needs_data(self) -> InvalidArgumentError:
         """The error of a convention whose demonstrations the user has to bring."""

@@ -7,17 +7,17 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.released.base import RELEASED_SEARCH, released_fit, released_plant
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, fit_stable, plants
 from torchds.errors import InvalidArgumentError
 from torchds.fits import StableFit
-from torchds.plants import Command, Motion
+from torchds.plants import Command
 
 DURATION, DT = 15.0, 0.1  # s
 N_COMPONENTS = 3
@@ -73,7 +73,7 @@ def _side(p: Tensor, q: Tensor, x: Tensor) -> Tensor:
 
 
 class WalledMotion(NamedTuple):
-    """A `Motion`, and the reference position that counts: where it was when the plant met a wall."""
+    """A plant's `Motion`, and the reference position that counts: where it was when the plant met a wall."""
 
     x: Tensor
     v: Tensor
@@ -111,7 +111,7 @@ class WalledMass:
         stuck = self.inside(state.x)
         held = torch.where(stuck, state.held, command.x)
         v = command.v.masked_fill(stuck, 0.0)
-        free = self.free.step(Motion(*state[:5]), command._replace(x=held, v=v))
+        free = self.free.step(plants.Motion(*state[:5]), command._replace(x=held, v=v))
         x = torch.where(stuck, state.x, free.x)
         return WalledMotion(x, free.v.masked_fill(self.inside(x), 0.0), *free[2:], held=held)
 
@@ -211,9 +211,9 @@ class ConstrainedReaching(Task):
             return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
         return copy.deepcopy(self.stable_fit.policy)
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """From the one start."""
-        return {"x0": self.start, "n_steps": round(DURATION / DT), "dt": DT}
+        return Motion(self.start, round(DURATION / DT), DT)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Goal, acceleration and path length of Eq. 41."""

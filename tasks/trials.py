@@ -61,7 +61,7 @@ class Trials:
             raise InvalidArgumentError(f"the roll-outs of task {task.name!r} cannot be made step by step")
         self.task, self.policy = task, task.policy().requires_grad_(False)
         motion, scene = task.motion(), task.scene()
-        x0, self.n_steps, self.dt = motion["x0"], motion["n_steps"], motion["dt"]
+        x0, self.n_steps, self.dt = motion
         self.x0 = x0.expand(n, *x0.shape)
         self.via_points = torch.cat(list(scene.via_points.values()) or [x0.new_zeros(0, x0.shape[-1])])
         self.length = (scene.starts - scene.goal).norm(dim=-1).amax()

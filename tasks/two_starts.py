@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.released.base import RELEASED_SEARCH, released_fit, released_plant
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa
 
@@ -115,9 +114,9 @@ class TwoStarts(Task):
         """The imitated motion, alike on both sides."""
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """From both starts."""
-        return {"x0": self.starts, "n_steps": round(self.setup.duration / self.setup.dt), "dt": self.setup.dt}
+        return Motion(self.starts, round(self.setup.duration / self.setup.dt), self.setup.dt)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal and acceleration of Eq. 40 over both starts."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.released.base import RELEASED_SEARCH, released_fit, released_plant
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load_lasa
 from torchds.errors import InvalidArgumentError
@@ -111,9 +111,9 @@ class ViaPoint(Task):
         """The imitated letter."""
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """From the one start."""
-        return {"x0": self.start, "n_steps": round(self.setup.duration / self.setup.dt), "dt": self.setup.dt}
+        return Motion(self.start, round(self.setup.duration / self.setup.dt), self.setup.dt)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal and acceleration of Eq. 39."""

@@ -42,4 +42,4 @@ class Short(tasks.ViaPoint):
 
     def motion(self):
         motion = super().motion()
-        return {**motion, "n_steps": motion["n_steps"] // 10, "dt": 10 * motion["dt"]}
+        return motion._replace(n_steps=motion.n_steps // 10, dt=10 * motion.dt)

@@ -59,7 +59,7 @@ class Benchmark:
     def refresh(self, runs: int) -> tuple[float, float]:
         """Median seconds of one evaluation of the covariance, and of one update with homogeneous noise."""
         learner = Learner(ViaPointOptions(runs=runs, updates=self.updates))
-        along = TrajectorySpace(learner.policy, **learner.task.motion(), spread=0.5)
+        along = TrajectorySpace(learner.policy, *learner.task.motion(), spread=0.5)
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(4 * self.repeats):
             for column, call in zip(

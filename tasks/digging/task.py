@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.digging import lwr
 from tasks.digging.demonstrate import FOLDER
 from tasks.digging.gravel import COARSE, Gravel
@@ -138,9 +138,9 @@ class LwrDigging(Task):
         """The imitated motion with the uniform stiffness s⁰."""
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 5), 2, stiffness_dim=1, stiffness=self.initial_stiffness)
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """From the one start."""
-        return {"x0": self.start[:2], "n_steps": round(self.seconds / self.dt), "dt": self.dt}
+        return Motion(self.start[:2], round(self.seconds / self.dt), self.dt)
 
     # ------------------------------------------------------------------ a trial
 
@@ -152,7 +152,7 @@ class LwrDigging(Task):
             The roll-out of the policy; poses `(*batch, T+1, 3)`: x, z [m], angle [rad]; stiffness `(*batch, T)` within
             its bounds [N/m].
         """
-        path = rollout(policy, **self.motion())
+        path = rollout(policy, *self.motion())
         turned = torch.cat([path.v.new_zeros(path.v[..., :1, 2].shape), path.v[..., 2].cumsum(-1)], -1)
         angle = self.start[2] + self.dt * turned
         assert path.stiffness is not None

@@ -7,12 +7,12 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Scene, SearchSettings, Task
+from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.released.base import RELEASED_SEARCH, released_fit
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
 from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
@@ -140,10 +140,10 @@ class ArchTask(Task):
         mixture = self.mixture.marginal(0, 4)
         return GMRPolicy.from_mixture(mixture, 2, stiffness_dim=self.stiffness_dim, stiffness=self.initial_stiffness)
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """From the one start."""
         start = torch.tensor(self.setup.start, dtype=torch.float64)
-        return {"x0": start, "n_steps": round(self.setup.duration / DT), "dt": DT}
+        return Motion(start, round(self.setup.duration / DT), DT)
 
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
         """Acceleration and stiffness of each step of each trajectory `(*batch, *points, T)`, not weighted."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention
+from tasks.base import Convention, Motion
 from tasks.force_fields.base import ARCH_SEARCH, ARCH_VIA_POINTS, RELEASED_ARCH_SEARCH, ArchTask, Setup
 from torchds import Demonstrations, GaussianMixture, Rollout, costs
 from torchds.errors import InvalidArgumentError
@@ -82,10 +82,10 @@ class HalfPlaneForce(ArchTask):
 
         return force
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> Motion:
         """Both executions begin at the same start."""
         motion = super().motion()
-        return {**motion, "x0": motion["x0"].expand(2, 2)}
+        return motion._replace(x0=motion.x0.expand(2, 2))
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal, acceleration and stiffness of Eq. 51, mean over the executions."""

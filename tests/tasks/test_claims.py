@@ -29,7 +29,7 @@ def learn(shape, method):
     exploration = search.homogeneous(policy, search.mean_speed)
     factor, temperature = InverseIteration(), search.temperature
     if method == "trajectory":
-        exploration = TrajectorySpace(policy, **task.motion(), spread=0.5, mean_speed=0.1, damping=1e-4)
+        exploration = TrajectorySpace(policy, *task.motion(), spread=0.5, mean_speed=0.1, damping=1e-4)
         factor, temperature = ExponentialDecay(search.n_updates, 0.03), "capped"
     cls, cost = (PI2, task.step_costs) if method == "pi2" else (PIBB, task.cost)
     optim = cls(

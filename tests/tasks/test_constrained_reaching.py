@@ -233,7 +233,7 @@ def test_most_of_the_detour_is_gone_after_a_hundred_rollouts(swept):
 
 def test_stable_exploration_along_the_motion_reaches_a_third_after_a_thousand_rollouts(task):
     def explore(policy):
-        space = TrajectorySpace.relative(policy, **task.motion(), goal=task.goal)
+        space = TrajectorySpace.relative(policy, *task.motion(), goal=task.goal)
         return Stable(policy, space, task.goal)
 
     costs, policy, violations = learn(task, explore, (RUNS,), temperature="capped", decay=ExponentialDecay(100))

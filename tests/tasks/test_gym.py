@@ -76,9 +76,9 @@ def test_rewards_add_up_to_minus_the_cost_of_the_plain_rollout(name, env_of, act
     task, actions = env_of(name).trials.task, actions_of(name)
     policy = task.policy()
     O, starts = policy.output_dim, {"TwoStarts": 2}.get(name, 1)
-    speed = task.rollout(policy).reference.diff(dim=-2).norm(dim=-1).mean() / task.motion()["dt"]
+    speed = task.rollout(policy).reference.diff(dim=-2).norm(dim=-1).mean() / task.motion().dt
     corrections = torch.from_numpy(actions).double().unflatten(-1, (starts, -1))  # (T, M, starts, O+Q)
-    if starts == 1 and task.motion()["x0"].ndim == 1:
+    if starts == 1 and task.motion().x0.ndim == 1:
         corrections = corrections.squeeze(-2)  # one trajectory; the two of HalfPlaneForce share theirs
 
     def changed(a):

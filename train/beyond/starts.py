@@ -26,8 +26,7 @@ def one_start(task: Task, policy: GMRPolicy, n: int, temperature: Temperature) -
         InvalidArgumentError: a task with one start or a convention of its own about several, or an N that is no multiple
             of S.
     """
-    motion = task.motion()
-    starts = motion.pop("x0")
+    starts, n_steps, dt = task.motion()
     if starts.ndim != 2 or len(starts) < 2 or task.convention != "paper":
         raise InvalidArgumentError(f"task {task.name!r} does not have several starts that could be tried one by one")
     if n % len(starts):
@@ -37,7 +36,7 @@ def one_start(task: Task, policy: GMRPolicy, n: int, temperature: Temperature) -
     def closure() -> Tensor:
         batch = policy.batch_shape  # (N, *runs)
         x0 = own.reshape(n, *(1,) * len(batch), -1).expand(*batch, 1, -1)
-        path = rollout(policy, x0, **motion, starts="per_policy", stop=task.stop, plant=task.plant)
+        path = rollout(policy, x0, n_steps, dt, starts="per_policy", stop=task.stop, plant=task.plant)
         return comparable(task.cost(path), len(starts), temperature)
 
     return closure

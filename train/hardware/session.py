@@ -228,7 +228,7 @@ class Session:
 
             return given
 
-        n_steps, dt = task.motion()["n_steps"], task.dt
+        n_steps, dt = task.motion().n_steps, task.dt
         still = Recorded(task.start.expand(n_steps + 1, 3), task.start.new_zeros(n_steps, 3))
         records = [
             read_recording(recording(folder, k), task.start, n_steps, dt) if state == "there" else still

@@ -52,11 +52,11 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
         tied = goal if stable else None
         if search.spread is None:
             size: dict[str, Any] = {} if options.noise is None else {"spread": options.noise}
-            along = TrajectorySpace.relative(policy, **task.motion(), **size, goal=tied)
+            along = TrajectorySpace.relative(policy, *task.motion(), **size, goal=tied)
         else:
             along = TrajectorySpace(
                 policy,
-                **task.motion(),
+                *task.motion(),
                 spread=search.spread if options.noise is None else options.noise,
                 stiffness_spread=search.stiffness_spread,
                 mean_speed=search.mean_speed,

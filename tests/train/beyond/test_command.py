@@ -21,7 +21,7 @@ class Short(tasks.TwoStarts):
 
     def motion(self):
         motion = super().motion()
-        return {**motion, "n_steps": motion["n_steps"] // 10, "dt": 10 * motion["dt"]}
+        return motion._replace(n_steps=motion.n_steps // 10, dt=10 * motion.dt)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +46,8 @@ def test_failed_and_equal_costs_stay_what_they_are():
 def test_each_policy_is_tried_from_its_own_start(task, randn):
     policy = task.policy().expand(4, 3)
     policy.unpack(policy.pack().detach() + 1e-3 * randn(*policy.pack().shape))
-    motion = {**task.motion()}
-    starts = motion.pop("x0")
-    alone = [task.cost(rollout(policy[n], starts[n % 2 : n % 2 + 1], **motion)) for n in range(4)]
+    starts, n_steps, dt = task.motion()
+    alone = [task.cost(rollout(policy[n], starts[n % 2 : n % 2 + 1], n_steps, dt)) for n in range(4)]
     expected = comparable(torch.stack(alone), 2, "range")
     torch.testing.assert_close(one_start(task, policy, 4, "range")(), expected, atol=1e-9, rtol=1e-9)
 

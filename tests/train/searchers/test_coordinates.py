@@ -131,7 +131,7 @@ def test_the_root_of_homogeneous_noise_is_the_diagonal_of_its_standard_deviation
 
 def test_the_root_along_the_motion_is_the_factor_of_trajectory_space(task):
     policy = task.policy().expand(2)
-    along = TrajectorySpace(policy, **task.motion(), spread=0.5)
+    along = TrajectorySpace(policy, *task.motion(), spread=0.5)
     torch.testing.assert_close(root(policy, along), along.coordinates().factor, rtol=0, atol=0)
 
 

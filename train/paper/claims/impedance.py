@@ -40,20 +40,20 @@ def moving_target(setting: Setting) -> list[Check]:
     motion = task.motion()
     angles = 2 * torch.pi * torch.arange(N_TARGETS, dtype=torch.float64) / N_TARGETS
     targets = task.scene().goal + MOVED * torch.stack([angles.cos(), angles.sin()], -1)
-    half = motion["n_steps"] // 2 * motion["dt"]
+    half = motion.n_steps // 2 * motion.dt
 
     def shift(t: float) -> Tensor:
         return torch.where(torch.tensor(t < half), torch.zeros_like(targets), targets)
 
-    n_steps = motion["n_steps"] // 2 + LONG
-    x = rollout(learner.policy, motion["x0"].expand(N_TARGETS, 2), n_steps, motion["dt"], shift=shift).x
-    distance = (x[..., motion["n_steps"] // 2 :, :] - targets.unsqueeze(-2)).norm(dim=-1)  # (runs, N_TARGETS, LONG + 1)
+    n_steps = motion.n_steps // 2 + LONG
+    x = rollout(learner.policy, motion.x0.expand(N_TARGETS, 2), n_steps, motion.dt, shift=shift).x
+    distance = (x[..., motion.n_steps // 2 :, :] - targets.unsqueeze(-2)).norm(dim=-1)  # (runs, N_TARGETS, LONG + 1)
     nearer = (distance.diff(dim=-1) <= 0).all(-1)
     arrived = distance[..., -1] <= 0.01 * distance[..., 0]
     return [
         counted("motions that come nearer to the new target in every step", int(nearer.sum()), nearer.numel()),
         counted(
-            f"motions that end within 1 % of the distance, {LONG * motion['dt']:g} s later",
+            f"motions that end within 1 % of the distance, {LONG * motion.dt:g} s later",
             int(arrived.sum()),
             arrived.numel(),
         ),

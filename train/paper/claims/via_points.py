@@ -191,7 +191,7 @@ def unstable(shape: str, setting: Setting) -> list[Check]:
     ticks = torch.linspace(0, 1, SIDE, dtype=seen.dtype)
     starts = low + torch.cartesian_prod(ticks, ticks) * (high - low)
     motion = learner.task.motion()
-    end = rollout(learner.policy, starts, LONG * motion["n_steps"], motion["dt"]).x[..., -1, :]
+    end = rollout(learner.policy, starts, LONG * motion.n_steps, motion.dt).x[..., -1, :]
     diverged = ~((end - learner.task.scene().goal).norm(dim=-1) <= FAR * extent(seen))  # (runs, starts)
     some = diverged.any(-1)
     share = 100 * float(diverged.double().mean())

@@ -21,7 +21,7 @@ def figure_15(experiment: Experiment) -> Made:
     assert learner.path is not None
     film = learner.task.film(learner.path, 31)
     assert film is not None
-    seconds = learner.task.motion()["n_steps"] * learner.task.motion()["dt"]
+    seconds = learner.task.motion().n_steps * learner.task.motion().dt
     figure = Figure(figsize=(16, 4.4), layout="constrained")
     for axes, i in zip(figure.subplots(1, 3), (0, 15, 30), strict=True):
         axes.imshow(film[i])

@@ -37,7 +37,7 @@ def figure_5(runs: int, seed: int) -> Made:
     path = task.rollout(policy).x
     ones = {name: torch.ones_like(p) for name, p in policy.named_parameters()}
     homogeneous = Homogeneous(policy, mean_speed=1.0)
-    along = TrajectorySpace.relative(policy, **task.motion())
+    along = TrajectorySpace.relative(policy, *task.motion())
     columns: list[tuple[str, Tensor, Exploration]] = [
         ("uniform", policy.join(ones).square().diag(), Gaussian(1.0)),
         ("homogeneous (section 4.1)", policy.join(homogeneous.std()).square().diag(), homogeneous),
