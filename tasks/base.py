@@ -13,12 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Homogeneous
 from torchds.optim.functional import Temperature
 from torchds.plants import Plant
-from torchds.recordings import load
 from torchds.rollouts import StopCondition
 
 Convention = Literal["paper", "released"]
@@ -95,7 +94,7 @@ class Task(ABC):
     """A motion to learn: demonstrations, a way to try a policy, and what the trial costs.
 
     Args:
-        demonstrations: in place of the task's own, as an object or a path that `torchds.recordings.load` reads.
+        demonstrations: in place of the task's own, as an object or a path that `torchds.load` reads.
         mixture: in place of one fitted to the demonstrations, as an object or a path of an .npz file.
         convention: "paper" as printed, or "released" for the problem as the authors' program runs it, where a task
             has it.
@@ -230,9 +229,6 @@ class Task(ABC):
         """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""
         path = self.rollout(policy)
         deviation = policy.rows() - policy.initial_rows
-        n_points = path.features.ndim - deviation.ndim
-        for _ in range(n_points):
-            deviation = deviation.unsqueeze(-3)
         upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.search.control_weight)
         terms = self.cost_terms(path)
         return path, {**terms, "control": 0.5 * upsilon.flatten(len(policy.batch_shape)).sum(-1)}

@@ -46,6 +46,7 @@ from torchds.fits import fit_stable as fit_stable
 from torchds.mixture import Conditional as Conditional
 from torchds.mixture import GaussianMixture as GaussianMixture
 from torchds.policy import GMRPolicy as GMRPolicy
+from torchds.recordings import load as load
 from torchds.recordings import load_csv as load_csv
 from torchds.recordings import load_lasa as load_lasa
 from torchds.recordings import load_mat as load_mat
@@ -73,6 +74,7 @@ __all__ = [
     "fit_mixtures",
     "fit_stable",
     "impedance",
+    "load",
     "load_csv",
     "load_lasa",
     "load_mat",

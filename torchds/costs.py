@@ -57,14 +57,16 @@ def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: flo
     Args:
         deviation: `(*batch, O, F)` θ*, the distance from the demonstrated policy, one row per output.
         noise: `(*batch, O, F)` ε.
-        features: `(*batch, T, F)` g_t = h_k(x_t) [x_t, 1].
+        features: `(*batch, *points, T, F)` g_t = h_k(x_t) [x_t, 1], of one roll-out or of several of the same policy.
         weight: R, a number r for r I or its diagonal `(*batch, O, F)`. A parameter of weight zero is free: it costs
             nothing and M does not see it.
 
     Returns:
-        `(*batch, T)`; the cost of a roll-out is ½ Σ_t Υ_t.
+        `(*batch, *points, T)`; the cost of a roll-out is ½ Σ_t Υ_t.
     """
     weight = torch.as_tensor(weight, dtype=features.dtype, device=features.device).expand(deviation.shape)
+    for _ in range(features.ndim - deviation.ndim):  # an axis for each of the points
+        deviation, noise, weight = (rows.unsqueeze(-3) for rows in (deviation, noise, weight))
     controlled = weight > 0
     inverse = torch.where(controlled, 1.0 / weight, 0.0)
     drift = torch.where(controlled, deviation, 0.0) @ features.mT  # (*batch, O, T): θ*·g

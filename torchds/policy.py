@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import stability
 from torchds.errors import InvalidArgumentError
 from torchds.mixture import GaussianMixture
+from torchds.parameters import ExpertParameters, arrange
 
 if TYPE_CHECKING:
     from torchds.demonstrations import Demonstrations
 
 
-class GMRPolicy(nn.Module):
+# Dimensions of each buffer behind the batch.
+_CORE = {"priors": 1, "means": 2, "factors": 3, "_center": 1, "_offset": 1, "_log_scale": 1}
+_CORE |= {"initial_A": 3, "initial_b": 2, "initial_stiffness_A": 3, "initial_stiffness_b": 2}
+
+
+class GMRPolicy(ExpertParameters):
     r"""A time-invariant dynamical system from Gaussian mixture regression.
 
     .. math:: [\dot x; s] = \sum_k h_k(x) (A_k x + b_k), \qquad h_k(x) = \frac{π_k N(x; μ_k, Σ_k)}{\sum_i π_i N(x; μ_i, Σ_i)}
@@ -52,17 +57,9 @@ class GMRPolicy(nn.Module):
         tensor([0., 0.], grad_fn=<SqueezeBackward1>)
     """
 
-    A: nn.Parameter
-    b: nn.Parameter
-    stiffness_A: nn.Parameter
-    stiffness_b: nn.Parameter
     priors: Tensor
     means: Tensor
     factors: Tensor
-    initial_A: Tensor
-    initial_b: Tensor
-    initial_stiffness_A: Tensor
-    initial_stiffness_b: Tensor
     _center: Tensor
     _offset: Tensor
     _log_scale: Tensor
@@ -77,7 +74,6 @@ class GMRPolicy(nn.Module):
         stiffness_A: Tensor | None = None,
         stiffness_b: Tensor | None = None,
     ) -> None:
-        super().__init__()
         gate = GaussianMixture(priors, means, covariances)
         K, D = means.shape[-2:]
         if (stiffness_A is None) != (stiffness_b is None):
@@ -93,6 +89,7 @@ class GMRPolicy(nn.Module):
         lead, own = tuple(A.shape[:-3]), gate.batch_shape
         if lead[len(lead) - len(own) :] != own:
             raise InvalidArgumentError(f"a gating of batch {own} needs parameters whose batch ends with it, got {lead}")
+        super().__init__(A, b, stiffness_A, stiffness_b)
         # Σ⁻¹ = WᵀW with W = L⁻¹, so that |W(x − μ)| is the Mahalanobis distance.
         identity = torch.eye(D, dtype=means.dtype, device=means.device).expand_as(covariances)
         factors = torch.linalg.solve_triangular(torch.linalg.cholesky(covariances), identity, upper=False)
@@ -105,13 +102,6 @@ class GMRPolicy(nn.Module):
         self.register_buffer("_offset", offset.detach())
         log_scale = priors.log() + factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         self.register_buffer("_log_scale", log_scale.detach())
-        named = {"A": A, "b": b, "stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
-        for name, value in named.items():
-            self.register_buffer(f"initial_{name}", value.detach().clone())
-            if value.numel() or not name.startswith("stiffness"):
-                self.register_parameter(name, nn.Parameter(value.detach().clone()))
-            else:
-                self.register_parameter(name, None)
 
     # ------------------------------------------------------------------ construction
 
@@ -220,34 +210,6 @@ class GMRPolicy(nn.Module):
     # ------------------------------------------------------------------ shapes
 
     @property
-    def n_components(self) -> int:
-        """K."""
-        return self.means.shape[-2]
-
-    @property
-    def input_dim(self) -> int:
-        """D."""
-        return self.means.shape[-1]
-
-    @property
-    def output_dim(self) -> int:
-        """O, the number of velocities."""
-        return self.A.shape[-2]
-
-    @property
-    def stiffness_dim(self) -> int:
-        """Q, the number of stiffness outputs."""
-        return self.initial_stiffness_A.shape[-2]
-
-    @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """The leading dimensions of the parameters, () for one policy."""
-        lead = [self.A.shape[:-3], self.b.shape[:-2]]
-        if self.stiffness_dim:
-            lead += [self.stiffness_A.shape[:-3], self.stiffness_b.shape[:-2]]
-        return tuple(torch.broadcast_shapes(*lead))
-
-    @property
     def covariances(self) -> Tensor:
         """`(K, D, D)` input covariances Σ_k of the gating."""
         identity = torch.eye(self.input_dim, dtype=self.factors.dtype, device=self.factors.device)
@@ -271,7 +233,7 @@ class GMRPolicy(nn.Module):
             raise InvalidArgumentError(f"x has to end with the policy's {self.input_dim} inputs, got {tuple(x.shape)}")
         z = self._whitened(x)
         limit = torch.finfo(z.dtype).max ** 0.5 / (4 * self.input_dim)  # squares stay finite
-        squares = z.clamp(-limit, limit).square().unflatten(-1, (self.n_components, self.input_dim)).sum(-1)
+        squares = torch.unflatten(z.clamp(-limit, limit).square(), -1, (self.n_components, self.input_dim)).sum(-1)
         return torch.softmax(self._at_points(self._log_scale, 1, x) - 0.5 * squares, -1)
 
     def _whitened(self, x: Tensor) -> Tensor:
@@ -297,41 +259,10 @@ class GMRPolicy(nn.Module):
         """h_k(x) [x, 1], `(..., K (D+1))`: every output is linear in these features (Eq. 8-9)."""
         return (self.gating(x).unsqueeze(-1) * F.pad(x, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
 
-    def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
-        """The parameters as `(*batch, O+Q, K (D+1))`, row o = [A_1 row o, b_1[o], A_2 row o, ...].
-
-        Args:
-            value: what to arrange in place of each parameter (its noise, its deviation), of the parameter's shape with
-                any batch in front.
-        """
-        parameters = [self.A, self.b] + ([self.stiffness_A, self.stiffness_b] if self.stiffness_dim else [])
-        return self._arrange(*(parameters if value is None else map(value, parameters)))
-
-    def from_rows(self, rows: Tensor) -> dict[nn.Parameter, Tensor]:
-        """The inverse of `rows`: what each parameter's part of `rows` `(*batch, O+Q, K (D+1))` is."""
-        D, O = self.input_dim, self.output_dim
-        experts = rows.unflatten(-1, (self.n_components, D + 1)).movedim(-2, -3)  # (*batch, K, O+Q, D+1)
-        parts = {self.A: experts[..., :O, :D], self.b: experts[..., :O, D]}
-        if self.stiffness_dim:
-            parts |= {self.stiffness_A: experts[..., O:, :D], self.stiffness_b: experts[..., O:, D]}
-        return parts
-
     def feature_gating(self, features: Tensor) -> Tensor:
         """h_k for each of the features `(..., K (D+1))`, k the component that the feature belongs to."""
         D = self.input_dim
         return features[..., D :: D + 1].repeat_interleave(D + 1, -1)
-
-    @property
-    def initial_rows(self) -> Tensor:
-        """`rows` of the demonstrated policy (Eq. 12-13)."""
-        return self._arrange(self.initial_A, self.initial_b, self.initial_stiffness_A, self.initial_stiffness_b)
-
-    @staticmethod
-    def _arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:
-        experts = cat_broadcast([A, b.unsqueeze(-1)], -1)  # (*batch, K, O, D+1)
-        if stiffness:
-            experts = cat_broadcast([experts, cat_broadcast([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
-        return experts.movedim(-3, -2).flatten(-2)
 
     def outputs(self, features: Tensor, rows: Tensor) -> Tensor:
         """[ẋ; s] `(*batch, *points, O+Q)` from `features` `(*batch, *points, F)` and `rows` `(*batch, O+Q, F)`."""
@@ -344,7 +275,7 @@ class GMRPolicy(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """The velocity ẋ `(*batch, *points, O)` at `x` `(*batch, *points, D)` (Eq. 1)."""
-        return self.outputs(self.features(x), self._arrange(self.A, self.b))
+        return self.outputs(self.features(x), arrange(self.A, self.b))
 
     def stiffness(self, x: Tensor) -> Tensor:
         """The stiffness s `(*batch, *points, Q)` at `x` `(*batch, *points, D)`, before any clamping (Eq. 34)."""
@@ -365,10 +296,10 @@ class GMRPolicy(nn.Module):
         """
         K, D = self.n_components, self.input_dim
         h = self.gating(x)  # (*batch, *points, K)
-        z = self._whitened(x).unflatten(-1, (K, D))
+        z = torch.unflatten(self._whitened(x), -1, (K, D))
         score = -(z.unsqueeze(-2) @ self._at_points(self.factors, 3, x)).squeeze(-2)  # σ_k, (*batch, *points, K, D)
         turn = h.unsqueeze(-1) * (score - (h.unsqueeze(-1) * score).sum(-2, keepdim=True))  # ∂h_k/∂x
-        experts = self.rows().unflatten(-1, (K, D + 1))  # (*batch, O+Q, K, D+1)
+        experts = torch.unflatten(self.rows(), -1, (K, D + 1))  # (*batch, O+Q, K, D+1)
         for _ in range(x.ndim - experts.ndim + 2):
             experts = experts.unsqueeze(-4)
         y = (experts @ F.pad(x, (0, 1), value=1.0)[..., None, :, None]).squeeze(-1)  # (*batch, *points, O+Q, K)
@@ -377,71 +308,3 @@ class GMRPolicy(nn.Module):
     def certificate(self, goal: Tensor, P: Tensor | None = None) -> stability.Certificate:
         """What proves that every motion of this policy ends at `goal`; see `torchds.stability.certificate`."""
         return stability.certificate(self, goal, P)
-
-    # ------------------------------------------------------------------ the flat parameter vector
-
-    def pack(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
-        """θ `(*batch, P)` in the paper's order: per component all of A row by row, then b (Eq. 10-11, 44-45).
-
-        Args:
-            value: what to pack in place of each parameter, as for `rows`.
-        """
-        get = value or (lambda parameter: parameter)
-        named = {"A": get(self.A), "b": get(self.b)}
-        if self.stiffness_dim:
-            named |= {"stiffness_A": get(self.stiffness_A), "stiffness_b": get(self.stiffness_b)}
-        return self.join(named)
-
-    def join(self, named: Mapping[str, Tensor]) -> Tensor:
-        """The inverse of `split`: θ `(*batch, P)` from the parameters by name."""
-        A, b = named["A"], named["b"]
-        if self.stiffness_dim:
-            A, b = cat_broadcast([A, named["stiffness_A"]], -2), cat_broadcast([b, named["stiffness_b"]], -1)
-        return cat_broadcast([A.flatten(-2), b], -1).flatten(-2)
-
-    def split(self, theta: Tensor) -> dict[str, Tensor]:
-        """The parameters that `theta` `(*batch, P)` stands for, by name; differentiable, changes nothing.
-
-        Raises:
-            InvalidArgumentError: `theta` does not have P entries.
-        """
-        K, D, O, Q = self.n_components, self.input_dim, self.output_dim, self.stiffness_dim
-        P = K * (O + Q) * (D + 1)
-        if theta.shape[-1:] != (P,):
-            raise InvalidArgumentError(f"theta has to be (*batch, {P}) for this policy, got {tuple(theta.shape)}")
-        blocks = theta.unflatten(-1, (K, (O + Q) * (D + 1)))
-        A, b = blocks[..., : (O + Q) * D].unflatten(-1, (O + Q, D)), blocks[..., (O + Q) * D :]
-        named = {"A": A[..., :O, :], "b": b[..., :O]}
-        return named | ({"stiffness_A": A[..., O:, :], "stiffness_b": b[..., O:]} if Q else {})
-
-    def unpack(self, theta: Tensor) -> GMRPolicy:
-        """Write `theta` `(*batch, P)` into the parameters, taking over its batch, and return this policy.
-
-        The parameters stay the same objects, so an optimizer that holds them sees the new values.
-
-        Raises:
-            InvalidArgumentError: `theta` does not have P entries.
-        """
-        for name, value in self.split(theta.detach()).items():
-            parameter = self.get_parameter(name)
-            if parameter.shape != value.shape:
-                parameter.grad = None  # of another batch; autograd could not add to it
-            parameter.data = value.to(parameter).clone()
-        return self
-
-
-# Dimensions of each buffer behind the batch.
-_CORE = {"priors": 1, "means": 2, "factors": 3, "_center": 1, "_offset": 1, "_log_scale": 1}
-_CORE |= {"initial_A": 3, "initial_b": 2, "initial_stiffness_A": 3, "initial_stiffness_b": 2}
-
-
-def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:
-    """Concatenate along `dim` after broadcasting the leading dimensions.
-
-    An optimizer of some of a policy's parameters gives leading dimensions to these only.
-    """
-    if len({t.ndim for t in tensors}) > 1:
-        last = [t.movedim(dim, -1) for t in tensors]
-        lead = torch.broadcast_shapes(*(t.shape[:-1] for t in last))
-        tensors = [t.expand(*lead, t.shape[-1]).movedim(-1, dim) for t in last]
-    return torch.cat(tensors, dim)

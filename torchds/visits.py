@@ -22,11 +22,15 @@ class LinearPolicy(Protocol):
     def initial_rows(self) -> Tensor:
         """The rows that deviations are measured from."""
 
+    @property
+    def row_parameters(self) -> dict[str, nn.Parameter]:
+        """The parameters that the rows consist of, by name."""
+
     def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
         """Arrange a quantity given per parameter as rows."""
 
-    def from_rows(self, rows: Tensor) -> dict[nn.Parameter, Tensor]:
-        """Take rows apart into parameters."""
+    def from_rows(self, rows: Tensor) -> dict[str, Tensor]:
+        """Take rows apart into parameters, by name."""
 
     def feature_gating(self, features: Tensor) -> Tensor:
         """The activation of the component that each feature belongs to."""

@@ -101,17 +101,13 @@ def controls(
     """
     found = []
     for policy, features in visits:
-        if not policy.rows(lambda p: torch.full_like(p, p in noise)).any():
+        if not any(p in noise for p in policy.row_parameters.values()):
             continue  # not one of the optimised policies, for example a reference
         r = policy.rows(lambda p: torch.full_like(p, weight.get(p, 0.0)))
         epsilon = policy.rows(lambda p: noise[p] if p in noise else torch.zeros_like(p))
         deviation = policy.rows() - (policy.initial_rows if reference == "demonstrated" else 0.0)
-        deviation, r = deviation.expand_as(epsilon), r.expand_as(epsilon)
-        matrices = [deviation, epsilon, r]
-        for _ in range(features.ndim - epsilon.ndim):  # a point axis for each that the features have
-            matrices = [m.unsqueeze(-3) for m in matrices]
-        deviation, pushed, r = matrices
-        found.append(Control(Visit(policy, features), control_cost(deviation, pushed, features, r), epsilon))
+        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r.expand_as(epsilon))
+        found.append(Control(Visit(policy, features), upsilon, epsilon))
     if not found:
         raise InvalidArgumentError(
             "control_weight > 0 and PI2 need to know which features the roll-outs of the optimised policy visited: use "

@@ -110,7 +110,7 @@ class PI2(PolicySearch):
                 f"PI2 needs one roll-out from one start whose T steps are those of the costs {tuple(costs.shape)}; the "
                 f"closure made {len(control)}, the first of {tuple(part.upsilon.shape)} steps"
             )
-        own = part.visit.policy.from_rows(part.noise)
+        own = set(part.visit.policy.row_parameters.values())
         strangers = [tuple(p.shape) for group in self.param_groups for p in group["params"] if p not in own]
         if strangers:
             raise InvalidArgumentError(
@@ -129,7 +129,7 @@ class PI2(PolicySearch):
         features = torch.where(counts.unsqueeze(-1), features, 0.0)
         gating = policy.feature_gating(features) if group["weighting"] == "gating" else None
         rows = time_averaged_update(weights, part.noise, features, gating, group["projected"])
-        update = policy.from_rows(rows)
+        update = {policy.row_parameters[name]: change for name, change in policy.from_rows(rows).items()}
         for p in group["params"]:
             p.add_(update[p])
         return weights.mean(-1)
