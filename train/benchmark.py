@@ -63,7 +63,7 @@ class Benchmark:
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(4 * self.repeats):
             for column, call in zip(
-                times, (along.refresh_now, lambda: learner.optim.step(learner.closure)), strict=True
+                times, (along.refresh_now, lambda: learner.searcher.step(learner.closure)), strict=True
             ):
                 began = time.perf_counter()
                 call()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -17,13 +16,13 @@ from tqdm import tqdm
 import tasks
 from torchds import GaussianMixture
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from torchds.optim import PolicySearch, repeated
+from torchds.optim import repeated
 from torchds.recruiting import most_wanted, recruit
 from train.beyond.starts import one_start
 from train.folder import versions, write_json
 from train.learning.learner import Learner
 from train.options import TASK_OPTIONS, RunOptions
-from train.searchers.named import make_closure, make_decay, make_optimizer
+from train.searchers.base import Closure
 
 Experiment = Literal["recruit", "noise", "starts"]
 LearnerName = Literal["pibb", "recommended"]
@@ -45,7 +44,7 @@ class Way(NamedTuple):
         label: its name there.
         options: of the learner.
         n_components: K; None for the task's own.
-        change: what is done to the learner before it learns.
+        wrap: what is done to the trials of the learner.
         grow: shares of the updates after which Gaussians are recruited.
         trajectories: of each roll-out.
     """
@@ -54,7 +53,7 @@ class Way(NamedTuple):
     label: str
     options: RunOptions
     n_components: int | None = None
-    change: Callable[[Learner], None] | None = None
+    wrap: Callable[[Closure, Learner], Closure] | None = None
     grow: Sequence[float] = ()
     trajectories: int = 1
 
@@ -139,9 +138,7 @@ class Beyond:
         """Trajectories spent, and the final costs of the runs."""
         options: dict[str, Any] = {} if way.n_components is None else {"mixture": fitted(way.options, way.n_components)}
         task = tasks.make(way.options.task, **{**way.options.task_options(), **options})
-        learner = Learner(way.options, task)
-        if way.change is not None:
-            way.change(learner)
+        learner = Learner(way.options, task, wrap=way.wrap)
         due = [round(share * learner.n_updates) for share in way.grow]
         learner.start()
         while learner.done < learner.n_updates:
@@ -185,7 +182,7 @@ class Beyond:
                     label = f"{n} policies × {repeats} trials an update"
                     options = self.options("via_point", updates, rollouts=n, cost_noise=std, **LEARNERS[learner])
                     yield Way(
-                        f"noise {std}, {learner}", label, options, change=partial(repeat, repeats), trajectories=repeats
+                        f"noise {std}, {learner}", label, options, wrap=partial(repeat, repeats), trajectories=repeats
                     )
 
     def starts(self) -> Iterator[Way]:
@@ -200,7 +197,7 @@ class Beyond:
             )
             for n, updates in ((40, 100), (20, 200)):
                 options = self.options("two_starts", updates, rollouts=n, **LEARNERS[learner])
-                yield Way(group, f"one start, {n} policies an update", options, change=one_each)
+                yield Way(group, f"one start, {n} policies an update", options, wrap=one_each)
 
 
 def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
@@ -208,28 +205,19 @@ def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
     return GaussianMixture.fit(tasks.make(options.task, **options.task_options()).demonstrations, n_components)
 
 
-def repeat(repeats: int, learner: Learner) -> None:
-    """Try each policy several times."""
-    learner.closure = repeated(learner.closure, learner.policy.parameters(), repeats)
+def repeat(repeats: int, closure: Closure, learner: Learner) -> Closure:
+    """Each policy is tried several times."""
+    return repeated(closure, learner.policy.parameters(), repeats)
 
 
-def one_each(learner: Learner) -> None:
-    """Try each policy from one start only."""
-    optim = learner.optim
-    assert isinstance(optim, PolicySearch)
-    learner.closure = one_start(learner.task, learner.policy, optim.n_rollouts, optim.param_groups[0]["temperature"])
+def one_each(closure: Closure, learner: Learner) -> Closure:
+    """Each policy is tried from one start only."""
+    optim = learner.searcher.optim
+    assert optim is not None
+    return one_start(learner.task, learner.policy, optim.n_rollouts, optim.param_groups[0]["temperature"])
 
 
 def grow(learner: Learner, width: float) -> None:
-    """Recruit Gaussians where the motion of each run needs them, and learn on; noise and decay go on where they were."""
-    task, options, before, decay = learner.task, learner.options, learner.optim, learner.decay
-    assert isinstance(before, PolicySearch) and decay is not None and learner.path is not None
-    learner.policy = recruit(learner.policy, most_wanted(learner.path, task.cost), width)
-    learner.optim = optim = make_optimizer(options, task, learner.policy)
-    assert isinstance(optim, PolicySearch)
-    learner.decay = make_decay(options, task, optim)
-    assert learner.decay is not None
-    optim.generator = before.generator
-    learner.decay.load_state_dict(copy.deepcopy(decay.state_dict()))
-    optim.param_groups[0]["lr"] = before.param_groups[0]["lr"]
-    learner.closure = make_closure(optim, task, learner.policy)
+    """Recruit Gaussians where the motion of each run needs them, and learn on."""
+    assert learner.path is not None
+    learner.restart(recruit(learner.policy, most_wanted(learner.path, learner.task.cost), width))

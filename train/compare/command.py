@@ -21,7 +21,7 @@ from train.folder import median, results, save_checkpoint, versions, write_json
 from train.learning.learner import Learner
 from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, Interrupted
 from train.options import TASK_OPTIONS, Optimizer, RunOptions
-from train.searchers.methods import METHODS
+from train.searchers.named import METHODS
 
 PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
     "via_point-N": ("via_point", {"shape": "N"}),

@@ -22,7 +22,6 @@ from tasks.digging import lwr
 from tasks.digging.simulation import WEIGHING, Recording
 from tasks.digging.task import LwrDigging
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
-from torchds.optim import PIBB
 from train.folder import results, save_checkpoint, write_json
 from train.hardware.robot_files import (
     COSTS,
@@ -39,7 +38,6 @@ from train.hardware.robot_files import (
 from train.learning.learner import Learner
 from train.learning.run import RESULTS, check
 from train.options import LwrDiggingOptions
-from train.searchers.named import forward_equivalents, n_failed
 
 STATE = "session.pt"
 DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
@@ -76,9 +74,10 @@ class Session:
             )
         self.folder, self.options, self.task = folder, options, task
         self.learner = Learner(options, task)
-        if not isinstance(self.learner.optim, PIBB):
+        optim = self.learner.searcher.optim
+        if optim is None or optim.costs_per_step:
             raise InvalidArgumentError(f"--optimizer {options.optimizer} cannot wait for a robot; use --optimizer pibb")
-        self.optim = self.learner.optim
+        self.optim = optim
         self.asked, self.attempt, self.spent, self.failed = False, 1, 0, 0
 
     @classmethod
@@ -205,7 +204,7 @@ class Session:
 
         self.spent += self.optim.n_rollouts
         try:
-            self.optim.step(closure)
+            self.learner.searcher.step(closure)
         except AllRolloutsFailedError as error:
             self.asked, self.attempt, self.failed = False, self.attempt + 1, self.failed + self.optim.n_rollouts
             self.save()
@@ -268,13 +267,11 @@ class Session:
         header = ["rollout", *terms, "cost", "weight", "state"]
         rows = [[k, *row, state] for k, (row, state) in enumerate(zip(numbers, states, strict=True), 1)]
         write_table(self.update_folder / "outcome.csv", header, rows)
-        if self.learner.decay is not None:
-            self.learner.decay.step()
         nominal = {name: values[:1] for name, values in terms.items()}
-        computed = forward_equivalents(self.options, self.optim, self.done)
+        computed = self.learner.searcher.forward_equivalents(self.done)
         history.add(self.spent - self.optim.n_rollouts, nominal, self.failed, computed)
         history.seconds += states.count("there") * self.options.seconds
-        self.failed, self.asked, self.attempt = n_failed(self.optim), False, 1
+        self.failed, self.asked, self.attempt = self.learner.searcher.failed, False, 1
         self.save()
         bad = f", {self.failed} failed" if self.failed else ""
         return "\n".join(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -11,45 +11,73 @@ import torch
 
 import tasks
 from tasks.base import total
-from torchds import Rollout
+from torchds import GMRPolicy, Rollout
 from train.folder import History
 from train.options import RunOptions
-from train.searchers.named import (
-    add_noise,
-    forward_equivalents,
-    make_closure,
-    make_decay,
-    make_optimizer,
-    n_failed,
-    n_rollouts,
-    n_updates,
-)
+from train.searchers.base import Closure, noisy
+from train.searchers.named import Explore, make_searcher, n_updates
 
 
 class Learner:
-    """Task, policies, optimizer and decay that a set of options names; `runs` policies learn in one batch.
+    """Task, policies and searcher that a set of options names; `runs` policies learn in one batch.
 
     Args:
         options: the options.
         task: in place of the one that the options name.
+        wrap: `wrap(closure, learner)` returns what the searcher calls in place of `closure`: to watch the trials, or to try
+            the policies in another way. The learner stands by then, and `restart` calls it again.
+        exploration: `exploration(task, policy)` makes the noise of the `(runs,)` policies, in place of the one that the
+            options name.
+
+    Attributes:
+        initial: the policy before learning.
+        policy: `(runs,)` policies, as they have been learned.
+        searcher: what changes them.
+        closure: what the searcher calls.
+        n_updates: updates that the budget pays for.
+        history: what all updates led to.
+        path: the last noise-free trial; None before the first.
     """
 
-    def __init__(self, options: RunOptions, task: tasks.Task | None = None) -> None:
+    def __init__(
+        self,
+        options: RunOptions,
+        task: tasks.Task | None = None,
+        *,
+        wrap: Callable[[Closure, Learner], Closure] | None = None,
+        exploration: Explore | None = None,
+    ) -> None:
         self.options = options
         self.task = task if task is not None else tasks.make(options.task, **options.task_options())
+        self.wrap, self.exploration = wrap, exploration
         self.initial = self.task.policy()
         self.policy = self.initial.expand(options.runs)
-        self.optim = make_optimizer(options, self.task, self.policy)
-        self.decay = make_decay(options, self.task, self.optim)
-        self.closure = make_closure(self.optim, self.task, self.policy)
-        self.noise = torch.Generator().manual_seed(options.seed)
-        if options.cost_noise:
-            with torch.no_grad():
-                std = options.cost_noise * float(total(self.task.evaluate(self.initial)[1].values()))
-            self.closure = add_noise(self.closure, std, getattr(self.optim, "costs_per_step", False), self.noise)
-        self.n_updates = n_updates(options, self.task) * n_rollouts(options, self.task) // self.optim.n_rollouts
+        self.noise = torch.Generator().manual_seed(options.seed)  # in the costs
+        self.searcher = make_searcher(options, self.task, self.policy, exploration)
+        self.closure = self._closure()
+        self.n_updates = n_updates(options, self.task, self.searcher)
         self.history = History()
         self.path: Rollout | None = None
+
+    def _closure(self) -> Closure:
+        """Trials of the policies as the searcher wants them, with noise in their costs, wrapped."""
+        closure = self.searcher.closure(self.task, self.policy)
+        if self.options.cost_noise:
+            with torch.no_grad():
+                std = self.options.cost_noise * float(total(self.task.evaluate(self.initial)[1].values()))
+            closure = noisy(closure, std, self.searcher.costs_per_step, self.noise)
+        return closure if self.wrap is None else self.wrap(closure, self)
+
+    def restart(self, policy: GMRPolicy) -> None:
+        """Go on with other policies `(runs,)`, say with more Gaussians; noise, its width and its decay go on where they are.
+
+        Raises:
+            InvalidArgumentError: the searcher cannot (see `Searcher.follow`).
+        """
+        searcher = make_searcher(self.options, self.task, policy, self.exploration)
+        searcher.follow(self.searcher)
+        self.policy, self.searcher = policy, searcher
+        self.closure = self._closure()
 
     @property
     def done(self) -> int:
@@ -59,17 +87,15 @@ class Learner:
     def start(self) -> None:
         """Evaluate the initial policy, once."""
         if not self.history.cost:
-            self.history.add(0, self.evaluate(), 0, forward_equivalents(self.options, self.optim, 0))
+            self.history.add(0, self.evaluate(), 0, self.searcher.forward_equivalents(0))
 
     def update(self) -> float:
         """One update and a noise-free evaluation; returns the seconds it took."""
         began = time.perf_counter()
-        self.optim.step(self.closure)
-        if self.decay is not None:
-            self.decay.step()
-        updates = self.done + 1
-        computed = forward_equivalents(self.options, self.optim, updates)
-        self.history.add(updates * self.optim.n_rollouts, self.evaluate(), n_failed(self.optim), computed)
+        searcher, updates = self.searcher, self.done + 1
+        searcher.step(self.closure)
+        computed = searcher.forward_equivalents(updates)
+        self.history.add(updates * searcher.n_rollouts, self.evaluate(), searcher.failed, computed)
         seconds = time.perf_counter() - began
         self.history.seconds += seconds
         return seconds
@@ -91,8 +117,7 @@ class Learner:
         """Everything that a checkpoint needs to continue bit for bit."""
         return {
             "policy": self.policy.state_dict(),
-            "optimizer": self.optim.state_dict(),
-            "decay": None if self.decay is None else self.decay.state_dict(),
+            "searcher": self.searcher.state_dict(),
             "noise": self.noise.get_state(),
             "task": self.task.state_dict(),
             "history": asdict(self.history),
@@ -101,9 +126,7 @@ class Learner:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.policy.load_state_dict(state["policy"])
-        self.optim.load_state_dict(state["optimizer"])
+        self.searcher.load_state_dict(state["searcher"])
         self.noise.set_state(state["noise"])
-        if self.decay is not None:
-            self.decay.load_state_dict(state["decay"])
         self.task.load_state_dict(state["task"])
         self.history = History(**state["history"])

@@ -17,7 +17,6 @@ from train.learning import figures
 from train.learning.album import Album
 from train.learning.learner import Learner
 from train.options import TASK_OPTIONS, RunOptions
-from train.searchers.named import scalars
 
 CHECKPOINT = "checkpoint.pt"
 OPTIONS = "options.json"
@@ -140,7 +139,7 @@ def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
     writer.add_scalar("rollouts/total", history.rollouts[-1], update)
     writer.add_scalar("rollouts/failed", history.failed[-1], update)
     writer.add_scalar("rollouts/forward_equivalents", history.forward_equivalents[-1], update)
-    for tag, value in scalars(learner.optim).items():
+    for tag, value in learner.searcher.scalars().items():
         writer.add_scalar(tag, value, update)
     if update:
         writer.add_scalar("time/update_seconds", seconds, update)

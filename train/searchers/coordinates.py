@@ -14,16 +14,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from tasks import Task
+from tasks.base import total
 from torchds import GMRPolicy
 from torchds.exploration import Exploration
-
-GRADIENT_COST = 4
-"""Forward-equivalents of a trial with its gradient: the trial, and a backward pass that takes about three times as long."""
-JACOBIAN_COST = 2
-"""Forward-equivalents of the Jacobian behind `TrajectorySpace`: a roll-out of the reference, and about as much again."""
+from train.searchers.base import GRADIENT_COST, JACOBIAN_COST, Closure, Searcher
 
 
-class Setting(NamedTuple):
+class Brief(NamedTuple):
     """What a method is told at the start; it begins at z = 0.
 
     Attributes:
@@ -67,7 +65,7 @@ class Method(NamedTuple):
         random: whether its runs differ where the trials do not.
     """
 
-    begin: Callable[[Setting], Asking]
+    begin: Callable[[Brief], Asking]
     gradient: bool
     random: bool
 
@@ -84,42 +82,63 @@ def root(policy: GMRPolicy, exploration: Exploration) -> Tensor:
     return policy.join(dict(zip(names, noise, strict=True))).movedim(0, -1)
 
 
-class CoordinateSearch:
-    """Steps a method over z, with the interface that learning runs use of an optimizer.
+class CoordinateSearch(Searcher):
+    """Steps a method over z.
 
     Args:
         policy: `(runs,)` policies, whose present parameters are θ₀.
         exploration: gives L, once: one unit of z is one standard deviation of its noise.
         method: the method.
-        setting: for the method.
+        brief: for the method.
+        jacobian: whether the exploration looked at the motion to find L.
 
     Attributes:
-        n_rollouts: trials of one `step`: the least number, not below the setting's, that the method can stop at.
+        n_rollouts: trials of one `step`: the least number, not below the brief's, that the method can stop at.
         mean_cost: `(runs,)` of the trials of the last step that did not fail; None before the first.
-        failed: how many failed in it, all runs together.
     """
 
-    def __init__(self, policy: GMRPolicy, exploration: Exploration, method: Method, setting: Setting) -> None:
-        self.policy, self.method, self.setting = policy, method, setting
+    def __init__(
+        self,
+        policy: GMRPolicy,
+        exploration: Exploration,
+        method: Method,
+        brief: Brief,
+        *,
+        jacobian: bool = False,
+    ) -> None:
+        self.policy, self.method, self.brief, self.jacobian = policy, method, brief, jacobian
         self.center, self.L = policy.pack().detach().clone(), root(policy, exploration)
         self._asking: Asking
         self._asked: Ask
         self._answers: list[Answer]
         self._begin()
-        self.n_rollouts = len(self._asked.z) * math.ceil(setting.n_rollouts / len(self._asked.z))
+        self.n_rollouts = len(self._asked.z) * math.ceil(brief.n_rollouts / len(self._asked.z))
         self.mean_cost: Tensor | None = None
-        self.failed = 0
+        self._failed = 0
 
     @property
-    def forward_equivalents(self) -> int:
-        """What one step costs, in trials without gradients."""
-        return self.n_rollouts * (GRADIENT_COST if self.method.gradient else 1)
+    def failed(self) -> int:
+        """Trials of the last step without a finite cost, all runs together."""
+        return self._failed
+
+    def closure(self, task: Task, policy: GMRPolicy) -> Closure:
+        """Trials with their whole cost, the control cost included."""
+        return lambda: total(task.evaluate(policy)[1].values())
+
+    def forward_equivalents(self, updates: int) -> int:
+        """The trials, those with gradients dearer, and the Jacobian once."""
+        each = self.n_rollouts * (GRADIENT_COST if self.method.gradient else 1)
+        return updates * each + self.jacobian * JACOBIAN_COST
+
+    def scalars(self) -> dict[str, float]:
+        """Mean cost of the trials."""
+        return {} if self.mean_cost is None else {"exploration/mean_cost": float(self.mean_cost.mean())}
 
     def theta(self, z: Tensor) -> Tensor:
         """The parameters `(..., runs, P)` at `z` `(..., runs, P)`."""
         return self.center + (self.L @ z.unsqueeze(-1)).squeeze(-1)
 
-    def step(self, closure: Callable[[], Tensor]) -> Tensor:
+    def step(self, closure: Closure) -> Tensor:
         """Spend `n_rollouts` trials and leave the policies at what the method then recommends.
 
         Args:
@@ -134,11 +153,11 @@ class CoordinateSearch:
         self.policy.unpack(self.theta(self._asked.answer))
         cost = torch.cat([answer.cost for answer in self._answers[before:]])
         finite = cost.isfinite()
-        self.failed = int((~finite).sum())
+        self._failed = int((~finite).sum())
         self.mean_cost = torch.where(finite, cost, 0.0).sum(0) / finite.sum(0)
         return self.mean_cost
 
-    def _try(self, closure: Callable[[], Tensor], z: Tensor) -> Answer:
+    def _try(self, closure: Closure, z: Tensor) -> Answer:
         """Run the trials; the gradient in z is Lᵀ times the one in θ."""
         present, gradient = self.policy.pack().detach(), None
         try:
@@ -157,7 +176,7 @@ class CoordinateSearch:
 
     def _begin(self) -> None:
         self._answers = []
-        self._asking = self.method.begin(self.setting)
+        self._asking = self.method.begin(self.brief)
         self._asked = next(self._asking)
 
     def _take(self, answer: Answer) -> None:

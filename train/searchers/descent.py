@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from train.searchers.coordinates import Answer, Ask, Asking, Setting
+from train.searchers.coordinates import Answer, Ask, Asking, Brief
 
 RATE = 0.1  # of Adam, for a scale of one; in standard deviations of the exploration
 WIDTH = 0.1  # of finite differences, the same unit
@@ -31,20 +31,20 @@ def forward_differences(z: Tensor) -> Gradient:
     return ((answer.cost[1:] - answer.cost[0]) / WIDTH).mT
 
 
-def score_function(z: Tensor, setting: Setting, generator: torch.Generator) -> Gradient:
+def score_function(z: Tensor, brief: Brief, generator: torch.Generator) -> Gradient:
     """∇E[S(z + σ ε)] = E[(S − baseline) ε] / σ, with centred ranks in the place of costs (Salimans et al. 2017)."""
-    epsilon = torch.randn(setting.n_rollouts, *z.shape, dtype=z.dtype, generator=generator)
-    answer = yield Ask(z + setting.scale * epsilon, z)
+    epsilon = torch.randn(brief.n_rollouts, *z.shape, dtype=z.dtype, generator=generator)
+    answer = yield Ask(z + brief.scale * epsilon, z)
     rank = answer.cost.argsort(0).argsort(0).to(z.dtype)
     advantage = rank / (len(rank) - 1) - 0.5
-    return (advantage.unsqueeze(-1) * epsilon).mean(0) / setting.scale
+    return (advantage.unsqueeze(-1) * epsilon).mean(0) / brief.scale
 
 
 def _descend(
-    setting: Setting, estimate: Callable[[Tensor], Gradient], optimizer: type[torch.optim.Optimizer], **options: Any
+    brief: Brief, estimate: Callable[[Tensor], Gradient], optimizer: type[torch.optim.Optimizer], **options: Any
 ) -> Asking:
     """Follow one of torch's optimizers; where a gradient is not finite, it counts as zero."""
-    z = nn.Parameter(torch.zeros(setting.runs, setting.P, dtype=torch.float64))
+    z = nn.Parameter(torch.zeros(brief.runs, brief.P, dtype=torch.float64))
     optim = optimizer([z], **options)
     while True:
         gradient = yield from estimate(z.detach().clone())
@@ -52,12 +52,12 @@ def _descend(
         optim.step()
 
 
-def adam(setting: Setting) -> Asking:
+def adam(brief: Brief) -> Asking:
     """Adam on the exact gradient; every entry of z moves by at most about 0.1 a trial."""
-    return _descend(setting, exact, torch.optim.Adam, lr=RATE * setting.scale)
+    return _descend(brief, exact, torch.optim.Adam, lr=RATE * brief.scale)
 
 
-def sgd(setting: Setting) -> Asking:
+def sgd(brief: Brief) -> Asking:
     """Gradient descent with momentum 0.9, on gradients over the norm of the first one: the first step has the length 0.1."""
     first: list[Tensor] = []
 
@@ -67,16 +67,16 @@ def sgd(setting: Setting) -> Asking:
             first.append(torch.linalg.vector_norm(gradient, dim=-1, keepdim=True))
         return gradient / first[0]
 
-    return _descend(setting, relative, torch.optim.SGD, lr=RATE * setting.scale, momentum=0.9)
+    return _descend(brief, relative, torch.optim.SGD, lr=RATE * brief.scale, momentum=0.9)
 
 
-def finite_differences(setting: Setting) -> Asking:
+def finite_differences(brief: Brief) -> Asking:
     """Adam on forward differences; steps are three times those of `adam`, since P + 1 trials allow few of them."""
-    return _descend(setting, forward_differences, torch.optim.Adam, lr=3 * RATE * setting.scale)
+    return _descend(brief, forward_differences, torch.optim.Adam, lr=3 * RATE * brief.scale)
 
 
-def nes(setting: Setting) -> Asking:
+def nes(brief: Brief) -> Asking:
     """An evolution strategy of fixed width: Adam on the score-function gradient (REINFORCE over parameters)."""
-    generator = torch.Generator().manual_seed(setting.seed)
-    estimate = functools.partial(score_function, setting=setting, generator=generator)
-    return _descend(setting, estimate, torch.optim.Adam, lr=RATE * setting.scale)
+    generator = torch.Generator().manual_seed(brief.seed)
+    estimate = functools.partial(score_function, brief=brief, generator=generator)
+    return _descend(brief, estimate, torch.optim.Adam, lr=RATE * brief.scale)

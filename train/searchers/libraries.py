@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from torchds.errors import MissingPackageError
-from train.searchers.coordinates import Ask, Asking, Setting
+from train.searchers.coordinates import Ask, Asking, Brief
 
 BARRIER = 1e10  # cost of a trial that failed, for libraries that want finite numbers
 
@@ -22,13 +22,13 @@ Minimise = Callable[[Objective, Tensor], None]
 """Minimises from a first z `(P,)`, for ever."""
 
 
-def lockstep(setting: Setting, minimise: Minimise) -> Asking:
+def lockstep(brief: Brief, minimise: Minimise) -> Asking:
     """One minimiser a run, each in a thread that hands over a point and sleeps until all runs have been tried together.
 
     What is recommended is the cheapest point tried. The order of threads decides nothing.
     """
-    best = torch.zeros(setting.runs, setting.P, dtype=torch.float64)
-    lowest = torch.full((setting.runs,), torch.inf, dtype=torch.float64)
+    best = torch.zeros(brief.runs, brief.P, dtype=torch.float64)
+    lowest = torch.full((brief.runs,), torch.inf, dtype=torch.float64)
     workers = [_Worker(minimise, start) for start in best.clone()]
     try:
         while True:
@@ -79,14 +79,14 @@ class _Worker:
         return request
 
 
-def lbfgs(setting: Setting) -> Asking:
+def lbfgs(brief: Brief) -> Asking:
     """L-BFGS with the strong Wolfe line search, whose trials count like all others."""
 
     def minimise(objective: Objective, start: Tensor) -> None:
         z = nn.Parameter(start)
         optim = torch.optim.LBFGS(
             [z],
-            lr=setting.scale,
+            lr=brief.scale,
             max_iter=1_000_000,
             history_size=20,
             tolerance_grad=0.0,
@@ -101,10 +101,10 @@ def lbfgs(setting: Setting) -> Asking:
         while True:
             optim.step(closure)
 
-    return lockstep(setting, minimise)
+    return lockstep(brief, minimise)
 
 
-def cobyqa(setting: Setting) -> Asking:
+def cobyqa(brief: Brief) -> Asking:
     """COBYQA, quadratic models in a trust region, of first radius one; begun again from where it ends.
 
     scipy's `minimize(method="COBYQA")` is the same code behind a lock, under which runs cannot take turns.
@@ -115,15 +115,15 @@ def cobyqa(setting: Setting) -> Asking:
         raise MissingPackageError("cobyqa", "baselines", "--optimizer cobyqa") from error
 
     def minimise(objective: Objective, start: Tensor) -> None:
-        options = {"radius_init": setting.scale, "radius_final": 1e-8 * setting.scale, "maxfev": 1_000_000}
+        options = {"radius_init": brief.scale, "radius_final": 1e-8 * brief.scale, "maxfev": 1_000_000}
         z = start.numpy()
         while True:
             z = minimize(lambda z: float(objective(torch.from_numpy(z))[0]), z, options=options).x
 
-    return lockstep(setting, minimise)
+    return lockstep(brief, minimise)
 
 
-def cma(setting: Setting) -> Asking:
+def cma(brief: Brief) -> Asking:
     """CMA-ES of first width one, with n_rollouts trials a generation; the recommendation is the mean."""
     try:
         from cma import CMAEvolutionStrategy
@@ -131,11 +131,11 @@ def cma(setting: Setting) -> Asking:
         raise MissingPackageError("cma", "baselines", "--optimizer cma") from error
 
     def begin(run: int) -> Any:
-        draw = np.random.default_rng((setting.seed, run)).standard_normal
-        options = {"popsize": setting.n_rollouts, "seed": np.nan, "randn": lambda *shape: draw(shape), "verbose": -9}
-        return CMAEvolutionStrategy(np.zeros(setting.P), setting.scale, options)
+        draw = np.random.default_rng((brief.seed, run)).standard_normal
+        options = {"popsize": brief.n_rollouts, "seed": np.nan, "randn": lambda *shape: draw(shape), "verbose": -9}
+        return CMAEvolutionStrategy(np.zeros(brief.P), brief.scale, options)
 
-    strategies = [begin(run) for run in range(setting.runs)]
+    strategies = [begin(run) for run in range(brief.runs)]
     while True:
         points = np.stack([strategy.ask() for strategy in strategies], 1)  # (N, runs, P)
         means = torch.from_numpy(np.stack([strategy.mean for strategy in strategies]))

@@ -187,8 +187,7 @@ def learned(n_updates=100, **options):
     learner = Learner(DivergentFieldOptions(runs=RUNS, **options))
     before = learner.evaluate()
     for _ in range(n_updates):
-        learner.optim.step(learner.closure)
-        learner.decay.step()
+        learner.searcher.step(learner.closure)
     return learner, before, learner.evaluate()
 
 

@@ -170,8 +170,7 @@ def final_cost(n_updates, **options):
     """After so many of the task's updates, without looking at the policies in between."""
     learner = Learner(HalfPlaneForceOptions(runs=RUNS, **options))
     for _ in range(n_updates):
-        learner.optim.step(learner.closure)
-        learner.decay.step()
+        learner.searcher.step(learner.closure)
     return tasks.base.total(learner.evaluate().values()).numpy()
 
 

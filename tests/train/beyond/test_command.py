@@ -1,6 +1,7 @@
 """python -m train beyond: recruiting, repeats and one start a trial."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -63,19 +64,19 @@ def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
     learner = Learner(TwoStartsOptions(runs=2, updates=4, rollouts=4), task)
     learner.start()
     learner.update()
-    lr, cost = learner.optim.param_groups[0]["lr"], learner.history.cost[-1]
-    drawn = learner.optim.generator.get_state()
+    lr, cost = learner.searcher.optim.param_groups[0]["lr"], learner.history.cost[-1]
+    drawn = learner.searcher.optim.generator.get_state()
     grow(learner, 2.0)
     terms = learner.evaluate()
     assert learner.policy.n_components == 12
-    assert learner.optim.param_groups[0]["lr"] == lr
-    assert torch.equal(learner.optim.generator.get_state(), drawn)
+    assert learner.searcher.optim.param_groups[0]["lr"] == lr
+    assert torch.equal(learner.searcher.optim.generator.get_state(), drawn)
     # Only the control cost, a sum over parameters, knows that there are more of them.
     same = [sum(float(terms[name][i]) for name in terms if name != "control") for i in range(2)]
     before = [cost[i] - learner.history.terms["control"][-1][i] for i in range(2)]
     np.testing.assert_allclose(same, before, rtol=1e-9)
     learner.update()
-    assert learner.optim.param_groups[0]["lr"] < lr
+    assert learner.searcher.optim.param_groups[0]["lr"] < lr
 
 
 def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
@@ -83,8 +84,8 @@ def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
     one, two = ViaPointOptions(**small, cost_noise=0.1), TwoStartsOptions(**small)
     ways = {
         "recruit": [beyond.Way("a", "frozen", two, 3, trajectories=2), beyond.Way("a", "grown", two, 3, grow=(0.5,))],
-        "noise": [beyond.Way("b", "three", one, change=lambda learner: beyond.repeat(3, learner), trajectories=3)],
-        "starts": [beyond.Way("c", "one", two, change=beyond.one_each)],
+        "noise": [beyond.Way("b", "three", one, wrap=partial(beyond.repeat, 3), trajectories=3)],
+        "starts": [beyond.Way("c", "one", two, wrap=beyond.one_each)],
     }
     for name, rows in ways.items():
         assert {way.group.split(",")[0] for way in getattr(Beyond(), name)()}  # the real ones can be made

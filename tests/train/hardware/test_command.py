@@ -83,9 +83,8 @@ def test_a_session_with_a_robot_in_another_process_learns_as_one_in_this_process
             assert robot.stdout.readline() == "executed\n"
             code, said = command("tell", folder)
             assert code == 0 and f"update {update} of 2 is made from 3 roll-outs" in said
-            expected.optim.step(expected.closure)
-            expected.decay.step()
-            tried.append(expected.optim.last)
+            expected.searcher.step(expected.closure)
+            tried.append(expected.searcher.optim.last)
             outcome = np.genfromtxt(folder / f"update-00{update}" / "outcome.csv", delimiter=",", names=True)
             assert outcome["cost"].tolist() == tried[-1].cost[:, 0].tolist()
             assert outcome["weight"].tolist() == tried[-1].weights[:, 0].tolist()
@@ -210,9 +209,7 @@ def test_a_session_that_is_closed_after_each_command_learns_from_costs_as_an_opt
             p.data = p.data + mine.optim.state[p]["noise"]
         costs(mine.update_folder, *cost(mine.learner.policy)[:, 0].tolist())
         Session.open(tmp_path).tell()
-        expected.optim.step(closure)
-        if expected.decay is not None:
-            expected.decay.step()
+        expected.searcher.step(closure)
     assert torch.equal(Session.open(tmp_path).learner.policy.pack(), expected.policy.pack())
     assert not torch.equal(expected.policy.pack()[0], expected.initial.pack())
 

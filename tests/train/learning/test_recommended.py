@@ -12,7 +12,7 @@ RUNS, N = 20, 10  # seeds, roll-outs per update
 def medians(options, **chosen):
     """Median cost of the noise-free policies of 20 seeds after each update; reward only."""
     learner = Learner(options(runs=RUNS, optimizer="surrogate", **chosen))
-    assert learner.optim.n_rollouts == N
+    assert learner.searcher.n_rollouts == N
     return np.median(learner.learn().history.cost, -1)
 
 

@@ -30,19 +30,19 @@ def test_zero_violations_over_a_full_training_run(task):
     assert learner.n_updates == 100
     for _ in range(learner.n_updates):
         learner.update()
-        assert learner.optim.explorations[0].scalars()["stability/largest_eigenvalue"] < 0
+        assert learner.searcher.optim.explorations[0].scalars()["stability/largest_eigenvalue"] < 0
         assert learner.policy.certificate(task.goal).stable.all()
 
 
 @pytest.mark.parametrize("shrink", ["all", "direction", "none"])
 def test_options_reach_the_exploration(task, shrink):
-    made = Learner(ConstrainedReachingOptions(noise=0.07, shrink=shrink), task).optim.explorations[0]
+    made = Learner(ConstrainedReachingOptions(noise=0.07, shrink=shrink), task).searcher.optim.explorations[0]
     assert isinstance(made, Stable)
     assert (made.std, made.shrink, made.P) == (0.07, shrink, None)
     options = ConstrainedReachingOptions(exploration="stable-trajectory", noise=0.4, shrink=shrink)
-    made = Learner(options, task).optim.explorations[0]
+    made = Learner(options, task).searcher.optim.explorations[0]
     assert isinstance(made.std, TrajectorySpace)
-    usual = Learner(ConstrainedReachingOptions(exploration="stable-trajectory"), task).optim.explorations[0]
+    usual = Learner(ConstrainedReachingOptions(exploration="stable-trajectory"), task).searcher.optim.explorations[0]
     assert_close(made.std.spread, 8 * usual.std.spread)  # 0.4 in place of a twentieth of the extent
     assert made.shrink == shrink
     assert made.std.goal is not None
@@ -50,7 +50,7 @@ def test_options_reach_the_exploration(task, shrink):
 
 def test_a_learned_metric_reaches_the_exploration():
     learner = Learner(ConstrainedReachingOptions(condition="p-qlf"))
-    assert learner.optim.explorations[0].P is learner.task.P
+    assert learner.searcher.optim.explorations[0].P is learner.task.P
 
 
 def test_stable_exploration_of_a_policy_that_is_not_stable_is_refused():

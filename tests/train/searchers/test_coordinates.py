@@ -14,10 +14,10 @@ from torchds.errors import InvalidArgumentError, MissingPackageError
 from torchds.exploration import Homogeneous, TrajectorySpace
 from train.learning.learner import Learner
 from train.options import ConstrainedReachingOptions, DivergentFieldOptions, Optimizer, ViaPointOptions
-from train.searchers.coordinates import Answer, Ask, root
+from train.searchers.coordinates import Answer, Ask, Brief, CoordinateSearch, Method, root
 from train.searchers.libraries import lockstep
-from train.searchers.methods import METHODS, CoordinateSearch, Method, Setting
-from train.searchers.named import SAMPLED
+from train.searchers.named import METHODS
+from train.searchers.sampled import SAMPLED
 
 GRADIENTS = [name for name, method in METHODS.items() if method.gradient]
 P = 24  # of four components in the plane
@@ -149,25 +149,25 @@ def test_coordinates_with_a_goal_keep_it_a_fixed_point():
 def test_gradients_in_z_agree_with_finite_differences(task, exploration):
     z = 0.1 * torch.randn(1, 2, P, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     twin = learner(task, "adam", exploration=exploration)
-    exact = twin.optim._try(twin.closure, z).gradient
+    exact = twin.searcher._try(twin.closure, z).gradient
     h = 1e-5
     steps = h * torch.eye(P, dtype=torch.float64).unsqueeze(1)
-    ahead, behind = (twin.optim._try(twin.closure, z + s).cost for s in (steps, -steps))
+    ahead, behind = (twin.searcher._try(twin.closure, z + s).cost for s in (steps, -steps))
     torch.testing.assert_close(exact[0], ((ahead - behind) / (2 * h)).mT, rtol=1e-5, atol=1e-7)
 
 
 def test_finite_differences_follow_a_known_gradient():
-    setting = Setting(runs=2, P=3, n_rollouts=5, scale=1.0, seed=0)
+    brief = Brief(runs=2, P=3, n_rollouts=5, scale=1.0, seed=0)
     slope = torch.tensor([[1.0, -2.0, 0.0], [0.0, 3.0, -1.0]], dtype=torch.float64)
-    asking = METHODS["finite_differences"].begin(setting)
+    asking = METHODS["finite_differences"].begin(brief)
     asked = next(asking)
     after = asking.send(Answer((slope * asked.z).sum(-1), None)).answer
     assert torch.equal(after.sign(), -slope.sign())  # the first step of Adam has the same length in all directions
 
 
 def test_the_score_function_gradient_points_up_the_slope():
-    setting = Setting(runs=20, P=6, n_rollouts=200, scale=0.5, seed=0)
-    asking = METHODS["nes"].begin(setting)
+    brief = Brief(runs=20, P=6, n_rollouts=200, scale=0.5, seed=0)
+    asking = METHODS["nes"].begin(brief)
     asked = next(asking)
     slope = torch.linspace(-1, 1, 6, dtype=torch.float64)
     step = asking.send(Answer((asked.z * slope).sum(-1), None)).answer
@@ -176,8 +176,8 @@ def test_the_score_function_gradient_points_up_the_slope():
 
 def minimum(name, cost, runs, updates, **options):
     """What a method recommends for `cost(z)` `(N, runs)` of z `(N, runs, 4)`."""
-    setting = Setting(runs=runs, P=4, n_rollouts=8, scale=1.0, seed=0)
-    asking = METHODS[name].begin(setting)
+    brief = Brief(runs=runs, P=4, n_rollouts=8, scale=1.0, seed=0)
+    asking = METHODS[name].begin(brief)
     asked = next(asking)
     for _ in range(updates):
         z = asked.z.clone().requires_grad_()
@@ -226,7 +226,7 @@ def test_an_error_inside_a_library_comes_out():
         objective(start)
         raise ValueError("no step left")
 
-    asking = lockstep(Setting(2, 3, 5, 1.0, 0), minimise)
+    asking = lockstep(Brief(2, 3, 5, 1.0, 0), minimise)
     next(asking)
     with pytest.raises(ValueError, match="no step left"):
         asking.send(Answer(torch.zeros(1, 2, dtype=torch.float64), None))
@@ -275,15 +275,15 @@ def test_stiffness_is_searched_too():
 def test_a_method_is_any_generator():
     """The interface that a new method has to keep: here, one that stands still."""
 
-    def still(setting):
-        z = torch.zeros(setting.runs, setting.P, dtype=torch.float64)
+    def still(brief):
+        z = torch.zeros(brief.runs, brief.P, dtype=torch.float64)
         while True:
             yield Ask(z[None], z)
 
     task = Short()
     policy = task.policy().expand(3)
     method = Method(still, gradient=False, random=False)
-    search = CoordinateSearch(policy, Homogeneous(policy), method, Setting(3, P, 4, 1.0, 0))
+    search = CoordinateSearch(policy, Homogeneous(policy), method, Brief(3, P, 4, 1.0, 0))
     before = policy.pack().detach().clone()
     assert search.step(lambda: task.cost(task.rollout(policy))).shape == (3,)
     assert search.n_rollouts == 4

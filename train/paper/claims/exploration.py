@@ -20,6 +20,7 @@ from train.paper.claims.base import Check, Claim, Setting, changes, counted, cou
 from train.paper.claims.via_points import SIZE, UNSTABLE
 from train.paper.figures import stable
 from train.paper.figures.noise import velocity_noise
+from train.searchers.base import Closure
 
 EARLY, LATE = 10, 40  # updates: 100 and 400 roll-outs
 GRID = 40  # points along each side of the map
@@ -111,20 +112,23 @@ class Course(NamedTuple):
 @cache
 def watched(runs: int, seed: int) -> Course:
     """The constrained reach, with a certificate of every roll-out and every update."""
-    learner = Learner(ConstrainedReachingOptions(runs=runs, seed=seed))
-    task, evaluate = learner.task, learner.closure
-    goal = task.scene().goal
     tried, reached = [], []
 
-    def closure() -> Tensor:
-        tried.append(learner.policy.certificate(goal, task.P).stable)
-        return evaluate()
+    def stable(learner: Learner) -> Tensor:
+        return learner.policy.certificate(learner.task.scene().goal, learner.task.P).stable
 
-    learner.closure = closure
+    def watch(closure: Closure, learner: Learner) -> Closure:
+        def watched() -> Tensor:
+            tried.append(stable(learner))
+            return closure()
+
+        return watched
+
+    learner = Learner(ConstrainedReachingOptions(runs=runs, seed=seed), wrap=watch)
     learner.start()
     while learner.done < learner.n_updates:
         learner.update()
-        reached.append(learner.policy.certificate(goal, task.P).stable)
+        reached.append(stable(learner))
 
     def count(parts: Sequence[Tensor]) -> tuple[int, int]:
         return int(sum(part.sum() for part in parts)), sum(part.numel() for part in parts)

@@ -13,11 +13,11 @@ import tasks
 from torchds import GMRPolicy, costs, plotting
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable
 from torchds.exploration.homogeneous import chi_mean
-from torchds.optim import PolicySearch
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
 from train.learning.learner import Learner
 from train.options import ConstrainedReachingOptions
 from train.paper.figures.base import Made, below, learned, summary
+from train.searchers.base import Closure
 
 TASK = "constrained_reaching"
 LEVELS = (0.01, 0.02, 0.03, 0.05, 0.1)  # standard deviations of the noise of A [1/s]
@@ -112,20 +112,23 @@ def learn(task: tasks.Task, name: str, runs: int, seed: int) -> Variant:
     options: dict[str, Any] = {"exploration": "stable-trajectory"} if name == ALONG else {}
     if name == SCHEDULED:
         options = {"temperature": "capped", "decay": "exponential"}
-    learner = Learner(ConstrainedReachingOptions(runs=len(levels) * runs, seed=seed, **options), task)
-    if name != ALONG:
-        std = torch.tensor(levels, dtype=torch.float64).repeat_interleave(runs)
-        assert isinstance(learner.optim, PolicySearch)
-        learner.optim.explorations[0] = explore(task, learner.policy, name, std)
+    std = torch.tensor(levels, dtype=torch.float64).repeat_interleave(runs)
     collisions = []
 
-    def closure() -> Tensor:
-        path = task.rollout(learner.policy)
-        collisions.append(path.stopped.double().mean(0))
-        return task.cost(path)
+    def watch(closure: Closure, learner: Learner) -> Closure:
+        def watched() -> Tensor:
+            path = task.rollout(learner.policy)
+            collisions.append(path.stopped.double().mean(0))
+            return task.cost(path)
 
-    learner.closure = closure
-    learner.learn()
+        return watched
+
+    learner = Learner(
+        ConstrainedReachingOptions(runs=len(levels) * runs, seed=seed, **options),
+        task,
+        wrap=watch,
+        exploration=None if name == ALONG else lambda task, policy: explore(task, policy, name, std),
+    ).learn()
     by_level = (len(levels), runs)
     certificate = learner.policy.certificate(task.scene().goal, task.P)
     return Variant(

@@ -1,0 +1,52 @@
+"""Explorations by the names that the commands know."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tasks import Task
+from torchds import GMRPolicy
+from torchds.errors import InvalidArgumentError
+from torchds.exploration import Exploration, Gaussian, Stable, TrajectorySpace
+from train.options import RunOptions
+
+
+def along_motion(options: RunOptions) -> bool:
+    """Whether the exploration is one along the motion."""
+    return options.exploration in ("trajectory", "stable-trajectory")
+
+
+def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Exploration:
+    """The exploration that `--exploration`, `--noise` and `--shrink` name."""
+    search, learn = task.search, getattr(options, "learn", "both")
+    std = search.std if options.noise is None else options.noise
+    if options.exploration == "gaussian":
+        return Gaussian(std)
+    goal = task.scene().goal
+    if options.exploration == "stable":
+        return Stable(policy, std, goal, task.P, shrink=options.shrink)
+    if along_motion(options):
+        if learn != "both":
+            raise InvalidArgumentError(f"--learn {learn} goes with --exploration homogeneous, not trajectory")
+        stable = options.exploration == "stable-trajectory"
+        tied = goal if stable else None
+        if search.spread is None:
+            size: dict[str, Any] = {} if options.noise is None else {"spread": options.noise}
+            along = TrajectorySpace.relative(policy, *task.motion(), **size, goal=tied)
+        else:
+            along = TrajectorySpace(
+                policy,
+                *task.motion(),
+                spread=search.spread if options.noise is None else options.noise,
+                stiffness_spread=search.stiffness_spread,
+                mean_speed=search.mean_speed,
+                mean_stiffness=search.mean_stiffness,
+                goal=tied,
+            )
+        return Stable(policy, along, goal, task.P, shrink=options.shrink) if stable else along
+    mean_speed = search.mean_speed if options.noise is None else options.noise
+    return search.homogeneous(
+        policy,
+        0.0 if learn == "stiffness" else mean_speed,
+        mean_stiffness=0.0 if learn == "motion" else search.mean_stiffness,
+    )

@@ -1,0 +1,128 @@
+"""Policy search that draws new noise for every update: PI^BB and its kin, with the decay of their noise."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+
+from tasks import Task
+from torchds import GMRPolicy
+from torchds.errors import InvalidArgumentError
+from torchds.exploration import Exploration
+from torchds.optim import (
+    PI2,
+    PI2CMA,
+    PIBB,
+    ExponentialDecay,
+    InverseIteration,
+    LinearDecay,
+    PolicySearch,
+    SurrogatePIBB,
+)
+from train.options import RunOptions
+from train.searchers.base import JACOBIAN_COST, Closure, Searcher
+from train.searchers.explorations import along_motion
+
+SAMPLED: dict[str, type[PIBB] | type[PI2]] = {"pibb": PIBB, "pi2": PI2, "pi2cma": PI2CMA, "surrogate": SurrogatePIBB}
+"""By the names of `--optimizer`."""
+
+
+class SampledSearch(Searcher):
+    """An optimizer of `torchds.optim` and the scheduler of its noise.
+
+    Args:
+        optim: the optimizer.
+        decay: its scheduler.
+        jacobian: whether its exploration looks at the motion again in every update.
+    """
+
+    optim: PolicySearch
+
+    def __init__(self, optim: PolicySearch, decay: LambdaLR, *, jacobian: bool) -> None:
+        self.optim, self.decay, self.jacobian = optim, decay, jacobian
+        self.n_rollouts, self.costs_per_step = optim.n_rollouts, optim.costs_per_step
+
+    @property
+    def failed(self) -> int:
+        """Trials of the last step without a finite cost, all runs together."""
+        return 0 if self.optim.last is None else int(self.optim.last.failed.sum())
+
+    def step(self, closure: Closure) -> Tensor:
+        """One update of the optimizer and of the decay."""
+        cost = self.optim.step(closure)
+        self.decay.step()
+        return cost
+
+    def closure(self, task: Task, policy: GMRPolicy) -> Closure:
+        """Trials without the control cost, which the optimizer adds by itself."""
+        cost = task.step_costs if self.costs_per_step else task.cost
+        return lambda: cost(task.rollout(policy))
+
+    def forward_equivalents(self, updates: int) -> int:
+        """The roll-outs, and the Jacobian in every update."""
+        return updates * (self.n_rollouts + self.jacobian * JACOBIAN_COST)
+
+    def scalars(self) -> dict[str, float]:
+        """Width of the noise, what the explorations say, entropy of the weights, and mean cost of the trials."""
+        found = {"exploration/lr": self.optim.param_groups[0]["lr"]}
+        for exploration in self.optim.explorations:
+            found |= exploration.scalars()
+        if (last := self.optim.last) is not None:
+            w = last.weights
+            found["weights/entropy"] = float(-(w * w.clamp_min(1e-300).log()).sum(0).mean())
+            found["exploration/mean_cost"] = float(torch.where(last.failed, 0, last.cost).mean())
+        return found
+
+    def state_dict(self) -> dict[str, Any]:
+        """Those of the optimizer and of the decay."""
+        return {"optim": self.optim.state_dict(), "decay": self.decay.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue bit for bit."""
+        self.optim.load_state_dict(state["optim"])
+        self.decay.load_state_dict(state["decay"])
+
+    def follow(self, before: Searcher) -> None:
+        """Take over generator, decay and width; what was learned about the parameters before (a covariance) is gone."""
+        if not isinstance(before, SampledSearch):
+            raise InvalidArgumentError(f"a sampled search can follow another one only, not {type(before).__name__}")
+        self.optim.generator = before.optim.generator
+        self.decay.load_state_dict(copy.deepcopy(before.decay.state_dict()))
+        self.optim.param_groups[0]["lr"] = before.optim.param_groups[0]["lr"]
+
+
+def sampled_search(
+    options: RunOptions, task: Task, policy: GMRPolicy, exploration: Exploration, *, n_rollouts: int, n_updates: int
+) -> SampledSearch:
+    """The optimizer that `--optimizer` names, over `n_updates` updates of `n_rollouts` roll-outs."""
+    along = along_motion(options)
+    optim = SAMPLED[options.optimizer](
+        policy.parameters(),
+        lr=options.scale,
+        exploration=exploration,
+        n_rollouts=n_rollouts,
+        temperature=options.temperature or ("capped" if along else task.search.temperature),
+        elite=options.elite or ("nominal" if options.optimizer == "surrogate" else task.search.elite),
+        control_weight=task.search.control_weight,
+        generator=torch.Generator().manual_seed(options.seed),
+    )
+    own = "exponential" if along else task.search.decay
+    name = options.decay or ("none" if options.optimizer == "pi2cma" else own)
+    return SampledSearch(optim, LambdaLR(optim, factor(name, n_updates)), jacobian=along)
+
+
+def factor(decay: str, n_updates: int) -> Callable[[int], float]:
+    """The factor on the width of the noise by update, of the decay that `--decay` names."""
+    n = max(n_updates, 1)
+    factors: dict[str, Callable[[int], float]] = {
+        "inverse": InverseIteration(floor=0.1),
+        "linear": LinearDecay(n),
+        "exponential": ExponentialDecay(min(n, 50), floor=0.15),
+        "none": ExponentialDecay(n, floor=1.0),
+    }
+    return factors[decay]
