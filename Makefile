@@ -1,15 +1,23 @@
-# `make train` and `make test` do everything from a fresh clone: Python 3.11+, make and git are all they need.
+# From a fresh clone, Python 3.11+, make and git are all that these need; CONTRIBUTING.md says which to use when.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+FAST := -n 2 -m 'not slow and not gpu'
 
-.PHONY: train test lint format figures clean
+.PHONY: train quick test coverage oldest lint format clean
 
 train: $(VENV)/.ready
 	$(BIN)/python -m train via_point --shape N --runs 20 --updates 100
 
+quick: lint
+	$(BIN)/python -m pytest $(FAST)
+
 test: lint
 	$(BIN)/python -m pytest -n 2
+
+# The same tests, and how much of torchds they reach; pyproject.toml has the floor.
+coverage: lint
+	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
@@ -26,5 +34,30 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
+# The oldest numpy, scipy and scikit-learn that pyproject.toml allows, in front of the packages of the main environment.
+oldest: $(VENV)-oldest/.ready
+	$(VENV)-oldest/bin/python -m pytest $(FAST)
+
+$(VENV)-oldest/.ready: $(VENV)/.ready
+	rm -rf $(VENV)-oldest
+	$(BIN)/python -m venv $(VENV)-oldest
+	$(VENV)-oldest/bin/python -m pip install --quiet --disable-pip-version-check \
+		$$(sed -n '/^dependencies/s/>=/==/gp' pyproject.toml | grep -oE '(numpy|scipy|scikit-learn)==[0-9.]+')
+	$(BIN)/python -c 'import site; print(f"import site; site.addsitedir({site.getsitepackages()[0]!r})")' \
+		> $(VENV)-oldest/main.pth
+	mv $(VENV)-oldest/main.pth $(VENV)-oldest/lib/python3*/site-packages/
+	touch $@
+
+# The fast tests under another Python, in an environment of its own: make python3.12
+python3.%: .venv-3.%/.ready
+	.venv-3.$*/bin/python -m pytest $(FAST)
+
+.venv-3.%/.ready: pyproject.toml constraints.txt
+	test -x $(@D)/bin/python || python3.$* -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+.PRECIOUS: .venv-3.%/.ready
+
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-* build dist .mypy_cache .pytest_cache .ruff_cache

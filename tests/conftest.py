@@ -8,6 +8,11 @@ import torch
 import torchds
 
 
+def pytest_runtest_setup(item):
+    if item.get_closest_marker("gpu") and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_thread():
     """Sums are made in one order, and tests that run side by side do not fight for cores."""
