@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Unpack
 
 import torch
 from torch import Tensor, nn
 
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration.base import Exploration
+from torchds.optim.elite import put_first, remember
 from torchds.optim.evaluation import Closure, Control, Trial, controls, evaluate
-from torchds.optim.functional import cost_weights
+from torchds.optim.options import DEFAULTS, SharedOptions, check_group, completed, described
 from torchds.visits import Visit
 
 
@@ -32,6 +34,10 @@ class Update(NamedTuple):
     failed: Tensor
 
 
+_OF_TORCH = {*vars(torch.optim.Optimizer([{"params": []}], {})), "step"}
+"""Attributes that torch and its schedulers give an optimizer: hooks and wrappers, which copies do not take along."""
+
+
 class PolicySearch(torch.optim.Optimizer):
     """Base of optimizers that perturb parameters, look at costs and never at gradients.
 
@@ -41,19 +47,24 @@ class PolicySearch(torch.optim.Optimizer):
         params: parameters, named parameters or groups of them. A group may have its own `exploration`.
         exploration: shapes the noise of the groups that have none of their own.
         n_rollouts: N, roll-outs per update.
-        defaults: options of a group: `lr` (scales the standard deviation of the noise, so the paper's α is lr²),
-            `control_weight` (r of R = r I), `eliteness`, `temperature`, and the subclass's own.
-        batched: True: the closure is called once while every parameter carries N in front, and returns `(N, *batch)`.
-            False: it is called N times, for any module, simulator or robot, and returns `(*batch)`.
-        generator: of the unit normals, on the CPU; None for a new one with a fixed seed.
-        control_reference: what the control cost is measured from: "demonstrated" (Eq. 12-13) or "zero" (Eq. 11).
-        elite: what the first of the N roll-outs is: "none", a perturbed policy like the others; "nominal", the
-            unperturbed policy (footnote 3); "best", from the second step on, the cheapest policy tried so far, tried
-            again.
+        defaults: options of a group that are not shared by all searches: `lr` (scales the standard deviation of the noise,
+            so the paper's α is lr²) and the subclass's own.
+        **shared: the shared options below.
+
+    Raises:
+        UnknownNameError: an option that this search does not have.
+        InvalidArgumentError: an option out of its range, or parameters that the exploration does not know.
     """
 
     costs_per_step = False
     """Whether the closure returns a cost for every time step, and the update needs to know what was visited then."""
+
+    shared_defaults: ClassVar[SharedOptions] = DEFAULTS
+    """Of the shared options; a subclass that wants others says so here."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.__doc__ = f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{described(cls.shared_defaults)}"
 
     def __init__(
         self,
@@ -61,29 +72,23 @@ class PolicySearch(torch.optim.Optimizer):
         exploration: Exploration | None,
         n_rollouts: int,
         defaults: dict[str, Any],
-        *,
-        batched: bool,
-        generator: torch.Generator | None,
-        control_reference: str,
-        elite: str,
+        **shared: Unpack[SharedOptions],
     ) -> None:
+        options = completed(shared, self.shared_defaults, type(self))
         if n_rollouts < 1:
             raise InvalidArgumentError(f"n_rollouts has to be at least 1, got {n_rollouts}")
-        if control_reference not in ("demonstrated", "zero"):
-            raise InvalidArgumentError(f"control_reference is 'demonstrated' or 'zero', got {control_reference!r}")
-        if elite not in ("none", "nominal", "best"):
-            raise InvalidArgumentError(f"elite is 'none', 'nominal' or 'best', got {elite!r}")
-        if elite != "none" and n_rollouts < 2:
-            raise InvalidArgumentError(f"elite={elite!r} needs n_rollouts ≥ 2, got {n_rollouts}")
+        if options["elite"] != "none" and n_rollouts < 2:
+            raise InvalidArgumentError(f"elite={options['elite']!r} needs n_rollouts ≥ 2, got {n_rollouts}")
         self.n_rollouts = n_rollouts
-        self.elite = elite
-        self.batched = batched
-        self.control_reference = control_reference
-        self.generator = generator if generator is not None else torch.Generator().manual_seed(0)
+        self.elite = options["elite"]
+        self.batched = options["batched"]
+        self.control_reference = options["control_reference"]
+        self.generator = options["generator"] or torch.Generator().manual_seed(0)
         self.explorations: list[Exploration] = []
         self.last: Update | None = None
         self._default_exploration = exploration
-        super().__init__(params, defaults)
+        in_groups = {name: options[name] for name in ("eliteness", "temperature", "control_weight")}
+        super().__init__(params, {**defaults, **in_groups})
 
     # ------------------------------------------------------------------ groups and state
 
@@ -100,8 +105,7 @@ class PolicySearch(torch.optim.Optimizer):
             raise InvalidArgumentError(
                 f"a group needs an exploration, e.g. exploration=torchds.exploration.Gaussian(0.1); got {exploration!r}"
             )
-        for name, value in {**self.defaults, **param_group}.items():
-            self._check_option(name, value)
+        self._check_options({**self.defaults, **param_group})
         super().add_param_group(param_group)
         parameters = self.param_groups[-1]["params"]
         try:
@@ -114,13 +118,13 @@ class PolicySearch(torch.optim.Optimizer):
             raise
         self.explorations.append(exploration)
 
-    def _check_option(self, name: str, value: Any) -> None:
-        if name in ("lr", "control_weight") and not value >= 0:
-            raise InvalidArgumentError(f"{name} has to be ≥ 0, got {value}")
-        if name == "eliteness" and not value > 0:
-            raise InvalidArgumentError(f"eliteness has to be positive, got {value}")
-        if name == "temperature":
-            cost_weights(torch.zeros(1), temperature=value)
+    def _check_options(self, group: Mapping[str, Any]) -> None:
+        """Refuse options of a group that are out of their range.
+
+        Raises:
+            InvalidArgumentError: what was received and what is allowed.
+        """
+        check_group(group)
 
     def state_dict(self) -> dict[str, Any]:
         """Parameters' state and groups as in torch.optim, and the generator and explorations beside them."""
@@ -138,16 +142,15 @@ class PolicySearch(torch.optim.Optimizer):
             exploration.load_state_dict(state)
 
     def __getstate__(self) -> dict[str, Any]:
-        # The base keeps three entries only; copies need the generator and the explorations too.
-        mine = ("n_rollouts", "elite", "batched", "control_reference", "explorations", "last", "_default_exploration")
-        kept = {name: self.__dict__[name] for name in mine}
-        return {**super().__getstate__(), **kept, "_generator_state": self.generator.get_state()}
+        """What copies and pickles keep: all attributes but those of torch, the generator by its state."""
+        own = {name: value for name, value in vars(self).items() if name not in _OF_TORCH}
+        return {**super().__getstate__(), **own, "generator": self.generator.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        state = dict(state)
-        if (generator_state := state.pop("_generator_state", None)) is not None:
-            self.generator = torch.Generator()
-            self.generator.set_state(generator_state)
+        if isinstance(state.get("generator"), Tensor):  # torch.optim's load_state_dict comes here with parts only
+            generator = torch.Generator()
+            generator.set_state(state["generator"])
+            state = {**state, "generator": generator}
         super().__setstate__(state)
 
     # ------------------------------------------------------------------ the two halves of a step
@@ -246,7 +249,7 @@ class PolicySearch(torch.optim.Optimizer):
                 "(lr, mean_speed), or bound the roll-outs"
             )
         if self.elite == "best":
-            self._remember(cost, noise)
+            remember(cost, noise, self.state)
         weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
         self._forget()
         self.last = Update(cost, effort, weights[0], failed)
@@ -270,20 +273,6 @@ class PolicySearch(torch.optim.Optimizer):
             InvalidArgumentError: what was received and what is allowed.
         """
 
-    def _remember(self, cost: Tensor, noise: Mapping[nn.Parameter, Tensor]) -> None:
-        """Keep the cheapest parameters so far, of each run."""
-        first = next(iter(noise))
-        lowest, index = torch.where(cost.isfinite(), cost, torch.inf).min(0)
-        before = self.state[first].get("best_cost", torch.full_like(lowest, torch.inf))
-        better = lowest < before
-        self.state[first]["best_cost"] = torch.where(better, lowest, before)
-        for p, epsilon in noise.items():
-            trailing = (1,) * (p.ndim - index.ndim)
-            tried = p + epsilon.take_along_dim(index.reshape(1, *index.shape, *trailing), 0).squeeze(0)
-            self.state[p]["best"] = torch.where(
-                better.reshape(*better.shape, *trailing), tried, self.state[p].get("best", p)
-            )
-
     @property
     def _asked(self) -> bool:
         """Whether noise is waiting for its costs."""
@@ -295,14 +284,14 @@ class PolicySearch(torch.optim.Optimizer):
                 self.state[p].pop("noise", None)
 
     def _draw(self, normals: Sequence[Sequence[Tensor]] | None) -> None:
-        noise = self._propose(normals)
-        for p, epsilon in (
-            (p, e) for g, es in zip(self.param_groups, noise, strict=True) for p, e in zip(g["params"], es, strict=True)
-        ):
-            if self.elite == "nominal":
-                epsilon[0] = 0.0
-            elif "best" in self.state[p]:
-                epsilon[0] = self.state[p]["best"] - p
+        proposed = self._propose(normals)
+        noise = {
+            p: epsilon
+            for group, epsilons in zip(self.param_groups, proposed, strict=True)
+            for p, epsilon in zip(group["params"], epsilons, strict=True)
+        }
+        put_first(self.elite, noise, self.state)
+        for p, epsilon in noise.items():
             self.state[p]["noise"] = epsilon
 
     def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any, Literal
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, Unpack
 
 import torch
 from torch import Tensor
@@ -12,7 +12,8 @@ from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.base import PolicySearch
 from torchds.optim.evaluation import Closure, Control
-from torchds.optim.functional import Temperature, cost_to_go, cost_weights, time_averaged_update
+from torchds.optim.functional import cost_to_go, cost_weights, time_averaged_update
+from torchds.optim.options import SharedOptions
 
 
 class PI2(PolicySearch):
@@ -25,25 +26,20 @@ class PI2(PolicySearch):
     decide about more of the motion, get more; the paper compares this with `PIBB` in Fig. 3.
 
     Args:
-        params: see `PIBB`; they belong to policies that are linear in features, as `GMRPolicy` is.
-        exploration: see `PIBB`.
+        params: parameters of policies that are linear in features, as `GMRPolicy` is; or groups of them.
+        exploration: shapes unit normals into noise; a group may bring its own.
         n_rollouts: N, roll-outs per step.
-        lr: see `PIBB`.
-        eliteness: h.
-        temperature: see `functional.cost_weights`.
+        lr: scales the standard deviation of the noise.
         weighting: of the time average. "gating": T − t times the activation h_k(x_t) of the component that a parameter
             belongs to, mean over the roll-outs; "time": T − t alone.
         projected: False leaves M out.
-        control_weight: r of the control cost R = r I.
-        control_reference: see `PIBB`.
-        elite: see `PIBB`.
-        batched: see `PIBB`.
-        generator: see `PIBB`.
+        **shared: the shared options below.
 
     The closure of `step` returns costs per step, `(N, *batch, T)` (or `(*batch, T)` with batched=False), the terminal cost
     in the last; it makes one roll-out of T steps from one start.
 
     Raises:
+        UnknownNameError: an option that `PI2` does not have.
         InvalidArgumentError: an option out of its range; from `step`, costs or roll-outs that do not fit this form.
         AllRolloutsFailedError: from `step`, if no roll-out has a finite cost.
     """
@@ -57,39 +53,17 @@ class PI2(PolicySearch):
         n_rollouts: int = 10,
         lr: float = 1.0,
         *,
-        eliteness: float = 10.0,
-        temperature: Temperature = "range",
         weighting: Literal["gating", "time"] = "gating",
         projected: bool = True,
-        control_weight: float = 0.0,
-        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
-        elite: Literal["none", "nominal", "best"] = "none",
-        batched: bool = True,
-        generator: torch.Generator | None = None,
+        **shared: Unpack[SharedOptions],
     ) -> None:
-        defaults = {
-            "lr": lr,
-            "eliteness": eliteness,
-            "temperature": temperature,
-            "weighting": weighting,
-            "projected": projected,
-            "control_weight": control_weight,
-        }
-        super().__init__(
-            params,
-            exploration,
-            n_rollouts,
-            defaults,
-            batched=batched,
-            generator=generator,
-            control_reference=control_reference,
-            elite=elite,
-        )
+        defaults = {"lr": lr, "weighting": weighting, "projected": projected}
+        super().__init__(params, exploration, n_rollouts, defaults, **shared)
 
-    def _check_option(self, name: str, value: Any) -> None:
-        super()._check_option(name, value)
-        if name == "weighting" and value not in ("gating", "time"):
-            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {value!r}")
+    def _check_options(self, group: Mapping[str, Any]) -> None:
+        super()._check_options(group)
+        if group["weighting"] not in ("gating", "time"):
+            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {group['weighting']!r}")
 
     @torch.no_grad()
     def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]

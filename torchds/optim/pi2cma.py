@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Unpack
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torch import Tensor
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.evaluation import Control
-from torchds.optim.functional import Temperature
+from torchds.optim.options import SharedOptions
 from torchds.optim.pibb import PIBB
 
 
@@ -28,19 +28,13 @@ class PI2CMA(PIBB):
     needs no decay of `lr`; where costs fall steadily in one direction, it grows there.
 
     Args:
-        params: see `PIBB`. The noise of a group has one covariance for all of its parameters.
-        exploration: see `PIBB`.
-        n_rollouts: see `PIBB`.
-        lr: see `PIBB`.
+        params: as for `PIBB`. The noise of a group has one covariance for all of its parameters.
+        exploration: as for `PIBB`.
+        n_rollouts: as for `PIBB`.
+        lr: as for `PIBB`.
         rate: c in [0, 1]; 1 forgets what was before, 0 is `PIBB`.
         lower_bound: of the eigenvalues of Σ, in (0, 1].
-        eliteness: see `PIBB`.
-        temperature: see `PIBB`.
-        control_weight: see `PIBB`.
-        control_reference: see `PIBB`.
-        elite: see `PIBB`; not "best", which says nothing about the normals behind it.
-        batched: see `PIBB`.
-        generator: see `PIBB`.
+        **shared: the shared options below; elite="best" is not among them, since it says nothing about the normals behind it.
 
     Raises:
         InvalidArgumentError: a rate, a bound or an elite that is not allowed, and what `PIBB` refuses.
@@ -65,37 +59,16 @@ class PI2CMA(PIBB):
         *,
         rate: float = 0.1,
         lower_bound: float = 1e-4,
-        eliteness: float = 10.0,
-        temperature: Temperature = "range",
-        control_weight: float = 0.0,
-        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
-        elite: Literal["none", "nominal"] = "none",
-        batched: bool = True,
-        generator: torch.Generator | None = None,
+        **shared: Unpack[SharedOptions],
     ) -> None:
-        if elite not in ("none", "nominal"):
-            raise InvalidArgumentError(f"elite of PI2CMA is 'none' or 'nominal', got {elite!r}")
+        if shared.get("elite") == "best":
+            raise InvalidArgumentError("elite of PI2CMA has to be 'none' or 'nominal', got 'best'; use PIBB with it")
         if not (0 <= rate <= 1 and 0 < lower_bound <= 1):
             raise InvalidArgumentError(
                 f"rate has to be in [0, 1] and lower_bound in (0, 1], got {rate} and {lower_bound}"
             )
         self.rate, self.lower_bound = rate, lower_bound
-        super().__init__(
-            params,
-            exploration,
-            n_rollouts,
-            lr,
-            eliteness=eliteness,
-            temperature=temperature,
-            control_weight=control_weight,
-            control_reference=control_reference,
-            elite=elite,
-            batched=batched,
-            generator=generator,
-        )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "rate": self.rate, "lower_bound": self.lower_bound}
+        super().__init__(params, exploration, n_rollouts, lr, **shared)
 
     def _shape(self, group: dict[str, Any], exploration: Exploration, normals: list[Tensor]) -> list[Tensor]:
         first = group["params"][0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Unpack
 
 import torch
 from torch import Tensor
@@ -11,7 +11,8 @@ from torch import Tensor
 from torchds.exploration.base import Exploration
 from torchds.optim.base import PolicySearch
 from torchds.optim.evaluation import Closure, Control
-from torchds.optim.functional import Temperature, cost_weights
+from torchds.optim.functional import cost_weights
+from torchds.optim.options import SharedOptions
 
 
 class PIBB(PolicySearch):
@@ -27,19 +28,13 @@ class PIBB(PolicySearch):
         n_rollouts: N, roll-outs per step.
         lr: scales the standard deviation of the noise; the paper's α is lr², and every scheduler is an exploration
             decay (see `InverseIteration`).
-        eliteness: h; the larger, the more the best roll-outs count.
-        temperature: the spread of costs that h divides; see `functional.cost_weights`.
-        control_weight: r of the control cost R = r I.
-        control_reference: "demonstrated" penalises the distance from the demonstrated policy (Eq. 12-13), "zero" the
-            parameters themselves (Eq. 11).
-        elite: what the first roll-out of a step is: "none", "nominal" or "best" (see `PolicySearch`).
-        batched: whether one call of the closure evaluates all N (see `PolicySearch`).
-        generator: of the noise, on the CPU; None for a new one with a fixed seed.
+        **shared: the shared options below.
 
     `step(closure)` returns the mean cost of the N roll-outs, `(*batch)`, and leaves the details in `last`. `ask` and
     `tell` are its two halves, for hardware and foreign simulators.
 
     Raises:
+        UnknownNameError: an option that `PIBB` does not have.
         InvalidArgumentError: an option out of its range, or parameters that the exploration does not know.
         AllRolloutsFailedError: from `step`, if no roll-out has a finite cost; the parameters stay as they were.
 
@@ -59,31 +54,9 @@ class PIBB(PolicySearch):
         exploration: Exploration | None = None,
         n_rollouts: int = 10,
         lr: float = 1.0,
-        *,
-        eliteness: float = 10.0,
-        temperature: Temperature = "range",
-        control_weight: float = 0.0,
-        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
-        elite: Literal["none", "nominal", "best"] = "none",
-        batched: bool = True,
-        generator: torch.Generator | None = None,
+        **shared: Unpack[SharedOptions],
     ) -> None:
-        defaults = {
-            "lr": lr,
-            "eliteness": eliteness,
-            "temperature": temperature,
-            "control_weight": control_weight,
-        }
-        super().__init__(
-            params,
-            exploration,
-            n_rollouts,
-            defaults,
-            batched=batched,
-            generator=generator,
-            control_reference=control_reference,
-            elite=elite,
-        )
+        super().__init__(params, exploration, n_rollouts, {"lr": lr}, **shared)
 
     @torch.no_grad()
     def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Unpack
 
 import torch
 from torch import Tensor
@@ -11,7 +11,8 @@ from torch import Tensor
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.evaluation import Control
-from torchds.optim.functional import Temperature, predict_costs
+from torchds.optim.functional import predict_costs
+from torchds.optim.options import SharedOptions
 from torchds.optim.pibb import PIBB
 
 
@@ -24,20 +25,15 @@ class SurrogatePIBB(PIBB):
     one of `PIBB`, from the costs that the N roll-outs really had. The first update has nothing to predict from and is plain.
 
     Args:
-        params: see `PIBB`.
-        exploration: see `PIBB`.
+        params: as for `PIBB`.
+        exploration: as for `PIBB`; its `measure` is the distance.
         n_rollouts: N, roll-outs per step.
-        lr: see `PIBB`.
+        lr: as for `PIBB`.
         n_candidates: how many the N are chosen from; N for no choice.
         memory: how many of the last roll-outs are remembered, of each run.
-        eliteness: see `PIBB`.
-        temperature: see `PIBB`.
-        control_weight: see `PIBB`.
-        control_reference: see `PIBB`.
-        elite: see `PIBB`; it takes the place of the last of the N. "nominal" unless said otherwise: what the policy itself
-            costs is the best anchor of the predictions, and brings it back where it meets a wall that they do not know.
-        batched: see `PIBB`.
-        generator: see `PIBB`.
+        **shared: the shared options below. An elite takes the place of the worst of the N chosen. It is "nominal" by default:
+            with the policy's own cost among the known ones, the predictions do not lead away from it for long where they are
+            wrong, as they are behind a wall that no roll-out has hit yet.
 
     Raises:
         InvalidArgumentError: fewer candidates than roll-outs, no memory, and what `PIBB` refuses.
@@ -53,6 +49,8 @@ class SurrogatePIBB(PIBB):
         True
     """
 
+    shared_defaults: ClassVar[SharedOptions] = {**PIBB.shared_defaults, "temperature": "capped", "elite": "nominal"}
+
     def __init__(
         self,
         params: Iterable[Any],
@@ -62,35 +60,14 @@ class SurrogatePIBB(PIBB):
         *,
         n_candidates: int = 300,
         memory: int = 80,
-        eliteness: float = 10.0,
-        temperature: Temperature = "capped",
-        control_weight: float = 0.0,
-        control_reference: Literal["demonstrated", "zero"] = "demonstrated",
-        elite: Literal["none", "nominal", "best"] = "nominal",
-        batched: bool = True,
-        generator: torch.Generator | None = None,
+        **shared: Unpack[SharedOptions],
     ) -> None:
         if n_candidates < n_rollouts or memory < 1:
             raise InvalidArgumentError(
                 f"n_candidates ≥ n_rollouts and memory ≥ 1 are needed, got {n_candidates} for {n_rollouts} and {memory}"
             )
         self.n_candidates, self.memory = n_candidates, memory
-        super().__init__(
-            params,
-            exploration,
-            n_rollouts,
-            lr,
-            eliteness=eliteness,
-            temperature=temperature,
-            control_weight=control_weight,
-            control_reference=control_reference,
-            elite=elite,
-            batched=batched,
-            generator=generator,
-        )
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "n_candidates": self.n_candidates, "memory": self.memory}
+        super().__init__(params, exploration, n_rollouts, lr, **shared)
 
     def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
         known = self.state[self.param_groups[0]["params"][0]]

@@ -235,8 +235,8 @@ def test_a_deep_copy_knows_its_best(cls):
 @pytest.mark.parametrize(
     ("elite", "n_rollouts", "message"),
     [
-        ("worst", 5, "elite is 'none', 'nominal' or 'best', got 'worst'"),
-        (True, 5, "elite is 'none', 'nominal' or 'best', got True"),
+        ("worst", 5, "elite has to be 'none', 'nominal' or 'best', got 'worst'"),
+        (True, 5, "elite has to be 'none', 'nominal' or 'best', got True"),
         ("best", 1, "elite='best' needs n_rollouts ≥ 2, got 1"),
         ("nominal", 1, "elite='nominal' needs n_rollouts ≥ 2, got 1"),
     ],

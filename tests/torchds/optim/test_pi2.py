@@ -470,7 +470,7 @@ def test_parameters_that_are_not_of_the_policy_are_refused():
         ({"lr": -1.0}, "lr has to be ≥ 0, got -1.0"),
         ({"control_weight": float("nan")}, "control_weight has to be ≥ 0, got nan"),
         ({"n_rollouts": 0}, "n_rollouts has to be at least 1, got 0"),
-        ({"control_reference": "none"}, "control_reference is 'demonstrated' or 'zero', got 'none'"),
+        ({"control_reference": "none"}, "control_reference has to be 'demonstrated' or 'zero', got 'none'"),
     ],
 )
 def test_options_out_of_range_are_refused(options, message):

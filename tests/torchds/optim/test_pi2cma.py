@@ -143,5 +143,5 @@ def test_numbers_out_of_range_are_refused(options):
 
 
 def test_the_best_so_far_is_refused():
-    with pytest.raises(InvalidArgumentError, match="elite of PI2CMA is 'none' or 'nominal', got 'best'"):
+    with pytest.raises(InvalidArgumentError, match="elite of PI2CMA has to be 'none' or 'nominal', got 'best'"):
         make(elite="best")

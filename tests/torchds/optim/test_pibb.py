@@ -642,7 +642,7 @@ def test_costs_of_a_wrong_shape_are_refused(costs, batched, message):
         ({"control_weight": -1.0}, "control_weight has to be ≥ 0, got -1.0"),
         ({"eliteness": 0.0}, "eliteness has to be positive, got 0.0"),
         ({"temperature": "max"}, "temperature has to be 'range', 'median' or 'capped', got 'max'"),
-        ({"control_reference": "initial"}, "control_reference is 'demonstrated' or 'zero', got 'initial'"),
+        ({"control_reference": "initial"}, "control_reference has to be 'demonstrated' or 'zero', got 'initial'"),
         (
             {"exploration": None},
             "a group needs an exploration, e.g. exploration=torchds.exploration.Gaussian.*got None",
