@@ -10,9 +10,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from train.statistics import median, quartiles
+from train.tables import aligned
 
 
 @dataclass
@@ -89,16 +91,10 @@ def results(task: str, options: dict[str, Any], history: History) -> dict[str, A
     }
 
 
-def median(values: list[float]) -> float:
-    """The median over runs."""
-    return float(np.median(values))
-
-
 def table(history: History) -> str:
     """Initial and final cost by term: median and quartiles over runs."""
-    rows = [("cost", "initial", "final: median", "[q1, q3]")]
+    rows = []
     for name, values in {"total": history.cost, **history.terms}.items():
-        q1, middle, q3 = np.quantile(values[-1], [0.25, 0.5, 0.75])
-        rows.append((name, f"{median(values[0]):.4g}", f"{middle:.4g}", f"[{q1:.4g}, {q3:.4g}]"))
-    widths = [max(len(row[i]) for row in rows) for i in range(4)]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+        q1, middle, q3 = quartiles(values[-1])
+        rows.append((name, median(values[0]), middle, f"[{q1:.4g}, {q3:.4g}]"))
+    return aligned(("cost", "initial", "final: median", "[q1, q3]"), rows)

@@ -9,8 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-import numpy as np
-import scipy.stats
 from tqdm import tqdm
 
 import tasks
@@ -23,6 +21,8 @@ from train.folder import versions, write_json
 from train.learning.learner import Learner
 from train.options import TASK_OPTIONS, RunOptions
 from train.searchers.base import Closure
+from train.statistics import differ, quartiles
+from train.tables import markdown
 
 Experiment = Literal["recruit", "noise", "starts"]
 LearnerName = Literal["pibb", "recommended"]
@@ -111,22 +111,16 @@ class Beyond:
             ways = list(getattr(self, experiment)())
             results = [self.final(way) for way in tqdm(ways, unit="row", desc=experiment, dynamic_ncols=True)]
             first = {way.group: costs for way, (_, costs) in reversed(list(zip(ways, results, strict=True)))}
-            lines += [
-                "",
-                f"## {experiment}",
-                "",
-                "| | way | trajectories | median | q1 | q3 | p |",
-                "|---|---|---|---|---|---|---|",
-            ]
+            rows = []
             for way, (trajectories, costs) in zip(ways, results, strict=True):
-                q1, median, q3 = np.quantile(costs, [0.25, 0.5, 0.75])
+                q1, median, q3 = (f"{value:.3g}" for value in quartiles(costs))
                 base = first[way.group]
-                p = "" if base is costs else f"{scipy.stats.mannwhitneyu(costs, base).pvalue:.1g}"
-                lines.append(
-                    f"| {way.group} | {way.label} | {trajectories} | {median:.3g} | {q1:.3g} | {q3:.3g} | {p} |"
-                )
+                p = "" if base is costs else f"{differ(costs, base):.1g}"
+                rows.append((way.group, way.label, str(trajectories), median, q1, q3, p))
                 row = {"group": way.group, "way": way.label, "trajectories": trajectories, "cost": costs}
                 found.setdefault(experiment, []).append(row)
+            table = markdown(("", "way", "trajectories", "median", "q1", "q3", "p"), rows)
+            lines += ["", f"## {experiment}", "", table]
         text = "\n".join(lines) + "\n"
         (folder / "report.md").write_text(text)
         write_json(folder / "costs.json", {"versions": versions(), "rows": found})

@@ -17,11 +17,12 @@ import tasks
 from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report as compare_report
 from train.compare.report import Row
-from train.folder import median, results, save_checkpoint, versions, write_json
+from train.folder import results, save_checkpoint, versions, write_json
 from train.learning.learner import Learner
 from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, Interrupted
 from train.options import TASK_OPTIONS, Optimizer, RunOptions
 from train.searchers.named import METHODS
+from train.statistics import median
 
 PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
     "via_point-N": ("via_point", {"shape": "N"}),

@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
+
+from train.statistics import quartiles
+from train.tables import markdown
 
 HUGE = 1e300  # stands for infinity where numbers are interpolated
 REFERENCE = "pibb"  # whose final cost the others are held to
@@ -61,15 +60,15 @@ class Row:
     gradient: bool = False
     refused: str = ""
 
-    def quantiles(self) -> np.ndarray:
+    def quartiles(self) -> np.ndarray:
         """`(3, U+1)` quartiles and median (in the middle) of the cost over runs; what is not a number counts as infinite."""
         cost = np.asarray(self.record["cost"], dtype=float)
-        values = np.quantile(np.where(np.isfinite(cost), cost, HUGE), [0.25, 0.5, 0.75], axis=1)
+        values = quartiles(np.where(np.isfinite(cost), cost, HUGE), axis=1)
         return np.where(values < 1e-9 * HUGE, values, np.inf)
 
     def reaches(self, level: float) -> int | None:
         """Roll-outs until the median is at `level` for the first time; None if never."""
-        below = np.flatnonzero(self.quantiles()[1] <= level)
+        below = np.flatnonzero(self.quartiles()[1] <= level)
         return self.record["rollouts"][below[0]] if len(below) else None
 
 
@@ -99,7 +98,7 @@ def cells(row: Row, level: float | None) -> list[str]:
     """One line of a table."""
     if row.refused:
         return [row.label, *["—"] * (len(HEAD) - 1)]
-    q1, median, q3 = row.quantiles()
+    q1, median, q3 = row.quartiles()
     reached = None if level is None else row.reaches(level)
     return [
         row.label,
@@ -128,16 +127,15 @@ def by_problem(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 def reference_level(rows: Sequence[Row]) -> float | None:
     """PI^BB's final median, as tuned; None without such a row."""
-    level = [row.quantiles()[1][-1] for row in rows if row.label == REFERENCE and not row.refused]
+    level = [row.quartiles()[1][-1] for row in rows if row.label == REFERENCE and not row.refused]
     return float(level[0]) if level else None
 
 
 def table(rows: Sequence[Row]) -> str:
     """The Markdown table of one problem, the lowest final median first, and what was refused below it."""
     level = reference_level(rows)
-    ordered = sorted(rows, key=lambda row: math.inf if row.refused else row.quantiles()[1][-1])
-    lines = [HEAD, ["---"] * len(HEAD), *(cells(row, level) for row in ordered)]
-    text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    ordered = sorted(rows, key=lambda row: math.inf if row.refused else row.quartiles()[1][-1])
+    text = markdown(HEAD, [cells(row, level) for row in ordered])
     reasons = [f"- {row.label}: {row.refused}" for row in rows if row.refused]
     return text + ("\n\nCannot be had:\n\n" + "\n".join(reasons) if reasons else "")
 
@@ -148,12 +146,12 @@ def choices(rows: Sequence[Row]) -> str:
     if not factors:
         return "No tuning: one factor was given."
     head = ["problem", "optimizer", *(f"× {factor:.2g}" for factor in factors), "chosen"]
-    lines = [head, ["---"] * len(head)]
+    lines = []
     for row in rows:
         if row.tuned:
             tried = [number(row.tuned[factor]) for factor in factors]
             lines.append([row.problem, row.label, *tried, f"{row.factor:.2g}"])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return markdown(head, lines)
 
 
 def page(rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str]) -> str:
@@ -221,7 +219,7 @@ def draw(axes: Axes, rows: Sequence[Row], color: dict[str, str], level: float | 
     """Medians as lines, quartiles as bands; dashed where the method sees gradients."""
     floor, ceiling = math.inf, 0.0
     for row in rows:
-        q1, median, q3 = row.quantiles()
+        q1, median, q3 = row.quartiles()
         name = row.label.split(",")[0]
         x = row.record["rollouts"]
         dashes = "--" if row.gradient else "-"
@@ -254,7 +252,7 @@ def write(folder: Path, rows: Sequence[Row], options: dict[str, Any], versions: 
         writer = csv.writer(file)
         writer.writerow(["problem", "optimizer", "roll-outs", "q1", "median", "q3"])
         for row in kept:
-            for rollouts, *values in zip(row.record["rollouts"], *row.quantiles().tolist(), strict=True):
+            for rollouts, *values in zip(row.record["rollouts"], *row.quartiles().tolist(), strict=True):
                 writer.writerow([row.problem, row.label, rollouts, *values])
     curves(rows).savefig(folder / "curves.png", dpi=130)
     for i, row in enumerate(kept):
@@ -268,7 +266,7 @@ def write(folder: Path, rows: Sequence[Row], options: dict[str, Any], versions: 
             level = reference_level([other for other in kept if other.problem == row.problem])
             reached = None if level is None else row.reaches(level)
             metrics = {
-                "hparam/final_cost_median": float(row.quantiles()[1][-1]),
+                "hparam/final_cost_median": float(row.quartiles()[1][-1]),
                 "hparam/rollouts_to_reference": math.inf if reached is None else reached,
                 "hparam/forward_equivalents": row.record["forward_equivalents"][-1],
                 "hparam/seconds": row.record["seconds"],

@@ -17,8 +17,9 @@ import tasks
 from tasks.base import total
 from tasks.trials import PROBLEMS
 from torchds.errors import InvalidArgumentError
-from train.folder import History, median, results, table, write_json
+from train.folder import History, results, table, write_json
 from train.learning.run import OPTIONS, RESULTS, Interrupted, new_folder
+from train.statistics import median
 
 EVALUATIONS = 50  # at most, besides the first; a trial takes as long as a tenth of an update
 

@@ -38,6 +38,7 @@ from train.hardware.robot_files import (
 from train.learning.learner import Learner
 from train.learning.run import RESULTS, check
 from train.options import LwrDiggingOptions
+from train.tables import aligned
 
 STATE = "session.pt"
 DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
@@ -317,10 +318,3 @@ class Session:
 def hint(command: str, folder: Path) -> str:
     """A command to type."""
     return f"python -m train hardware {command} {shlex.quote(str(folder))}"
-
-
-def aligned(header: list[str], rows: list[list]) -> str:
-    """A table to read, numbers with four digits."""
-    cells = [header, *([f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return "\n".join("  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in cells)

@@ -8,14 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import torch
 from matplotlib.figure import Figure
 
 from torchds import Demonstrations, StableFit, plotting, rollout
+from train.tables import markdown
 
 if TYPE_CHECKING:
     from train.lasa.command import Split
@@ -115,12 +112,6 @@ def cell(measure: str, numbers: Sequence[float], spread: bool) -> str:
     return f"{text} ± {factor * statistics.pstdev(numbers):.{digits}f}" if with_spread else text
 
 
-def table(heading: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    rule = ["---"] + ["---:"] * (len(heading) - 1)
-    return "\n".join("| " + " | ".join(line) + " |" for line in (heading, rule, *lines))
-
-
 def page(rows: Rows, options: Mapping[str, Any], versions: Mapping[str, str], seconds: float) -> str:
     """The page of results in Markdown."""
     motions = list(dict.fromkeys(row["motion"] for row in rows))
@@ -131,6 +122,7 @@ def page(rows: Rows, options: Mapping[str, Any], versions: Mapping[str, str], se
         [name, f"{r:.2f} ± {dr:.2f}", f"{e:.3f} ± {de:.3f}", f"{d} ± {dd}", *["–"] * (len(MEASURES) - 3)]
         for name, (r, dr, e, de, d, dd) in PUBLISHED.items()
     ]
+    headings, align = [heading for heading, _, _ in MEASURES.values()], "l" + "r" * len(MEASURES)
     shown = ("rmse", "edot", "dtwd", "swept_area", "grid", "K")
     parts = [
         "# LASA benchmark\n",
@@ -138,8 +130,8 @@ def page(rows: Rows, options: Mapping[str, Any], versions: Mapping[str, str], se
         f"{options['seed']}; test set. {seconds:.0f} s on one core ("
         + ", ".join(f"{k} {v}" for k, v in versions.items())
         + ").\n",
-        table(["measured", *(heading for heading, _, _ in MEASURES.values())], ours) + "\n",
-        table(["published, all 26 motions", *(heading for heading, _, _ in MEASURES.values())], published) + "\n",
+        markdown(["measured", *headings], ours, align) + "\n",
+        markdown(["published, all 26 motions", *headings], published, align) + "\n",
         DEFINITIONS + "\n",
         "## By motion\n",
     ]
@@ -152,7 +144,7 @@ def page(rows: Rows, options: Mapping[str, Any], versions: Mapping[str, str], se
         if method == "seds":
             heading.append("published RMSE")
             lines = [[*line, f"{PUBLISHED_SEDS[line[0]]:.2f}"] for line in lines]
-        parts.append(f"### {name}\n\n" + table(heading, lines) + "\n")
+        parts.append(f"### {name}\n\n" + markdown(heading, lines, align) + "\n")
     return "\n".join(parts)
 
 

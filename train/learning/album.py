@@ -14,6 +14,7 @@ from torch.utils.tensorboard import SummaryWriter
 from torchds import Rollout, plotting
 from torchds.errors import TorchdsError
 from train.learning.learner import Learner
+from train.statistics import quartiles
 
 FRAMES = 38  # of a film
 PLAYED = 8.0  # frames a second
@@ -77,7 +78,7 @@ def stiffness_profile(path: Rollout) -> Figure:
     s = path.stiffness.detach().reshape(-1, *path.stiffness.shape[-2:]).numpy()  # (M, T, Q)
     time = path.dt * np.arange(s.shape[1])
     for q in range(s.shape[-1]):
-        low, middle, high = np.quantile(s[..., q], [0.25, 0.5, 0.75], axis=0)
+        low, middle, high = quartiles(s[..., q], axis=0)
         color = plotting.TERMS[q % len(plotting.TERMS)]
         axes.plot(time, middle, color=color, label=f"s{q + 1}" if s.shape[-1] > 1 else "s")
         axes.fill_between(time, low, high, color=color, alpha=0.2, lw=0)

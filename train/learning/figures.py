@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

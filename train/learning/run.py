@@ -6,17 +6,17 @@ import json
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from torchds.errors import InvalidArgumentError
-from train.folder import median, results, save_checkpoint, table, write_json
+from train.folder import results, save_checkpoint, table, write_json
 from train.learning import figures
 from train.learning.album import Album
 from train.learning.learner import Learner
 from train.options import TASK_OPTIONS, RunOptions
+from train.statistics import median, quartiles
 
 CHECKPOINT = "checkpoint.pt"
 OPTIONS = "options.json"
@@ -128,8 +128,7 @@ def finish(folder: Path, writer: SummaryWriter, learner: Learner) -> None:
 def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
     history, update = learner.history, learner.done
-    quantiles = np.quantile(history.cost[-1], [0.25, 0.5, 0.75])
-    for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quantiles, strict=True):
+    for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quartiles(history.cost[-1]), strict=True):
         writer.add_scalar(name, value, update)
     for name, values in history.terms.items():
         writer.add_scalar(f"cost/{name}", median(values[-1]), update)

@@ -153,7 +153,7 @@ def test_rollouts_to_a_level_are_those_of_the_first_update_whose_median_is_there
 
 
 def test_runs_that_went_astray_count_as_the_worst():
-    q1, median, q3 = row("a", [[1.0, float("nan"), 2.0, float("inf"), 3.0]], [0]).quantiles()[:, 0]
+    q1, median, q3 = row("a", [[1.0, float("nan"), 2.0, float("inf"), 3.0]], [0]).quartiles()[:, 0]
     assert (q1, median) == (2.0, 3.0)
     assert q3 == np.inf
 

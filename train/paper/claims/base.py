@@ -11,15 +11,14 @@ import numpy as np
 import scipy.stats
 
 from train.learning.learner import Learner
-from train.paper.figures.base import below, learned, summary
+from train.paper.figures.base import learned
 from train.paper.measured.digging import Experiment
+from train.statistics import Values, below, delta, differ, summary
 
 ALPHA = 0.01  # p of a test that shows something
 MEDIUM = 0.33  # Cliff's delta from which an effect is a medium one (Romano et al. 2006)
 
 HELD, IN_PART, NOT_HELD, NOT_MEASURED = "held", "held in part", "not held", "not measured here"
-
-Values = Sequence[float] | np.ndarray
 
 
 class Setting(NamedTuple):
@@ -86,16 +85,11 @@ def verdict(checks: Sequence[Check]) -> str:
 # ------------------------------------------------------------------ checks
 
 
-def delta(a: Values, b: Values) -> float:
-    """Cliff's delta P(a > b) − P(a < b): −1 where all of `a` are below all of `b`."""
-    return float(np.sign(np.subtract.outer(np.asarray(a), np.asarray(b))).mean())
-
-
 def lower(what: str, a: Values, b: Values) -> Check:
     """Independent samples: `a` is lower than `b`, by a one-sided Mann-Whitney test and an effect that is at least medium."""
-    p, effect = below(list(a), list(b)), delta(a, b)
+    p, effect = below(a, b), delta(a, b)
     gap = float(np.median(a) - np.median(b))
-    text = f"{what}: {summary(list(a))} against {summary(list(b))}, difference of medians {gap:+.3g}"
+    text = f"{what}: {summary(a)} against {summary(b)}, difference of medians {gap:+.3g}"
     return Check(text, p < ALPHA and effect <= -MEDIUM, len(a), effect, p)
 
 
@@ -115,15 +109,15 @@ def changes(what: str, before: Values | float, after: Values, *, falls: bool = T
     p = float(scipy.stats.binomtest(wanted, down + up, alternative="greater").pvalue) if down + up else 1.0
     effect = (up - down) / len(after)
     way = f"{'falls' if falls else 'rises'} in {wanted} of {len(after)}"
-    first = f"{before[0]:.3g}" if np.ptp(before) == 0 else summary(before.tolist())
-    text = f"{what}: {first} → {summary(after.tolist())}, {way}"
+    first = f"{before[0]:.3g}" if np.ptp(before) == 0 else summary(before)
+    text = f"{what}: {first} → {summary(after)}, {way}"
     return Check(text, p < ALPHA and (-effect if falls else effect) >= MEDIUM, len(after), effect, p)
 
 
 def alike(what: str, a: Values, b: Values) -> Check:
     """Independent samples: the effect is less than medium, and a two-sided Mann-Whitney test shows no difference."""
-    p, effect = float(scipy.stats.mannwhitneyu(a, b).pvalue), delta(a, b)
-    text = f"{what}: {summary(list(a))} against {summary(list(b))}"
+    p, effect = differ(a, b), delta(a, b)
+    text = f"{what}: {summary(a)} against {summary(b)}"
     return Check(text, p > ALPHA and abs(effect) < MEDIUM, len(a), effect, p)
 
 
@@ -136,7 +130,7 @@ def within(what: str, values: Values | float, low: float = -np.inf, high: float 
     """A number, or the median of a sample, lies in [low, high]."""
     values = np.atleast_1d(np.asarray(values, dtype=float))
     bounds = f"≥ {low:g}" if high == np.inf else f"≤ {high:g}" if low == -np.inf else f"{low:g} to {high:g}"
-    text = f"{values[0]:.3g}" if len(values) == 1 else summary(values.tolist())
+    text = f"{values[0]:.3g}" if len(values) == 1 else summary(values)
     return Check(f"{what}: {text} (asked for: {bounds})", low <= float(np.median(values)) <= high, len(values))
 
 

@@ -87,7 +87,7 @@ class Claims:
             except KeyboardInterrupt:
                 raise Interrupted("stopped; the same command continues") from None
         report.write_csv(folder / "claims.csv", rows)
-        page = report.markdown(rows, self.runs, self.command(*self.only))
+        page = report.page(rows, self.runs, self.command(*self.only))
         for path in (folder / "claims.md", *(() if self.keep is None else (self.keep,))):
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(path, lambda temporary: temporary.write_text(page))

@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 from train.folder import versions
 from train.paper.claims.base import ALPHA, HELD, IN_PART, MEDIUM, NOT_HELD, NOT_MEASURED, Check, Claim, verdict
+from train.tables import markdown
 
 COLUMNS = ("id", "where", "says", "rule", "verdict", "check", "holds", "n", "delta", "p", "command")
+HEADER = ("claim", "where", "what the paper says; what it takes to hold", "measured", "verdict")
 SMALLEST = 7  # pairs with which a sign test can reach ALPHA
 MARKS = {True: "+", False: "−"}
 
@@ -90,18 +92,14 @@ def terminal(rows: Sequence[Row], runs: int) -> str:
     return "\n".join([*lines, f"{tally(rows)}.{caution(runs)}"])
 
 
-def markdown(rows: Sequence[Row], runs: int, command: str) -> str:
+def page(rows: Sequence[Row], runs: int, command: str) -> str:
     """The page."""
     n_tests = sum(check.p is not None for row in rows for check in row.checks)
-    table = [
-        "| claim | where | what the paper says; what it takes to hold | measured | verdict |",
-        "|---|---|---|---|---|",
-    ]
+    table = []
     for row in rows:
         measured = "<br>".join(line(check) for check in row.checks) or f"measure it with `{row.command}`"
         text = f"{row.claim.says} *{row.claim.rule}*"
-        cells = (f"`{row.claim.id}`", row.claim.where, text, measured, f"**{verdict(row.checks)}**")
-        table.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        table.append((f"`{row.claim.id}`", row.claim.where, text, measured, f"**{verdict(row.checks)}**"))
     software = ", ".join(f"{name} {value}" for name, value in versions().items())
     return (
         f"# The claims of the paper\n\nWhat Rey et al. (2018) say about their method, and what was measured here: "
@@ -116,5 +114,5 @@ def markdown(rows: Sequence[Row], runs: int, command: str) -> str:
         f"p is not corrected for that.{caution(runs)} The tasks fill in what the paper leaves out: geometry, via-points and "
         "demonstrations are our own. The digging rows are of a simulated robot, one learning run from each stiffness and five "
         "trials.\n\n"
-        "## Claims\n\n" + "\n".join(table) + "\n"
+        "## Claims\n\n" + markdown(HEADER, table) + "\n"
     )

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
@@ -25,17 +24,6 @@ class Made(NamedTuple):
 def learned(task: str, runs: int, seed: int, **options: Any) -> Learner:
     """`runs` learning runs of a task in one batch, finished."""
     return Learner(TASK_OPTIONS[task](runs=runs, seed=seed, **options)).learn()
-
-
-def summary(values: Sequence[float]) -> str:
-    """Median and quartiles."""
-    q1, median, q3 = np.quantile(values, [0.25, 0.5, 0.75])
-    return f"{median:.3g} [{q1:.3g}, {q3:.3g}]"
-
-
-def below(a: Sequence[float], b: Sequence[float]) -> float:
-    """P of the one-sided Mann-Whitney test that `a` tends to be smaller than `b`."""
-    return float(scipy.stats.mannwhitneyu(a, b, alternative="less").pvalue)
 
 
 def via_distances(x: Tensor, points: Tensor) -> Tensor:

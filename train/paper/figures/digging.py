@@ -7,8 +7,9 @@ from matplotlib.figure import Figure
 
 from torchds import plotting
 from train.learning.figures import draw_curves
-from train.paper.figures.base import Made, below
+from train.paper.figures.base import Made
 from train.paper.measured.digging import LEARNERS, STARTS, TRIALS, UNIFORM, Experiment, best_uniform
+from train.statistics import below
 
 COLORS = dict(zip(LEARNERS, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
 MARKERS = dict(zip(LEARNERS, ("x", "P"), strict=True))

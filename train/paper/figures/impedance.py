@@ -15,7 +15,8 @@ from tasks import DivergentField
 from torchds import GMRPolicy, Rollout, plotting
 from train.learning.figures import draw_curves
 from train.learning.learner import Learner
-from train.paper.figures.base import Made, below, boxes, learned, summary, via_distances
+from train.paper.figures.base import Made, boxes, learned, via_distances
+from train.statistics import below, summary
 
 AXES = ("1", "2")
 

@@ -16,8 +16,10 @@ from torchds.exploration.homogeneous import chi_mean
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
 from train.learning.learner import Learner
 from train.options import ConstrainedReachingOptions
-from train.paper.figures.base import Made, below, learned, summary
+from train.paper.figures.base import Made, learned
 from train.searchers.base import Closure
+from train.statistics import below, quartiles, summary
+from train.tables import markdown
 
 TASK = "constrained_reaching"
 LEVELS = (0.01, 0.02, 0.03, 0.05, 0.1)  # standard deviations of the noise of A [1/s]
@@ -150,12 +152,12 @@ def figure_8(runs: int, seed: int) -> Made:
     styles = {FREE: "--", TIED: ":"}
     for name, variant in variants.items():
         level = LEVELS.index(SHOWN) if variant.cost.shape[1] > 1 else 0
-        q1, median, q3 = np.quantile(variant.cost[:, level], [0.25, 0.5, 0.75], axis=-1)
+        q1, median, q3 = quartiles(variant.cost[:, level], axis=-1)
         rollouts = 10 * np.arange(len(median))
         left.plot(rollouts, median, color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
         left.fill_between(rollouts, q1, q3, color=colors[name], alpha=0.12, lw=0)
         if variant.cost.shape[1] > 1:
-            q1, median, q3 = np.quantile(variant.cost[-1], [0.25, 0.5, 0.75], axis=-1)
+            q1, median, q3 = quartiles(variant.cost[-1], axis=-1)
             right.plot(LEVELS, median, "o", color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
             right.fill_between(LEVELS, q1, q3, color=colors[name], alpha=0.12, lw=0)
     left.set_xlabel("roll-outs")
@@ -178,8 +180,8 @@ def caption_8(variants: dict[str, Variant], runs: int) -> str:
     stable, along, scheduled = (variants[name] for name in (STABLE, ALONG, SCHEDULED))
     early, shown = min(EARLY, len(stable.cost) - 1), LEVELS.index(SHOWN)
     swept = (STABLE, TIED, FREE, HOMOGENEOUS)
-    tests = f"p ({STABLE} < {FREE}), early, end | p ({STABLE} < {TIED}), end"
-    lines = [f"| noise | {' | '.join(swept)} | {tests} |", "|---|---|---|---|---|---|---|"]
+    header = ("noise", *swept, f"p ({STABLE} < {FREE}), early, end", f"p ({STABLE} < {TIED}), end")
+    rows = []
     for i, level in enumerate(LEVELS):
         cells = []
         for v in (variants[name] for name in swept):
@@ -187,7 +189,7 @@ def caption_8(variants: dict[str, Variant], runs: int) -> str:
             cells.append(f"{medians}; {v.stable[i]}, {v.colliding[i]}; {100 * v.share[i].mean():.0f} %")
         p_free = ", ".join(f"{below(stable.cost[u, i], variants[FREE].cost[u, i]):.1e}" for u in (early, -1))
         p_tied = below(stable.cost[-1, i], variants[TIED].cost[-1, i])
-        lines.append(f"| {level} | {' | '.join(cells)} | {p_free} | {p_tied:.2f} |")
+        rows.append((str(level), *cells, p_free, f"{p_tied:.2f}"))
 
     def course(v: Variant, i: int = 0) -> str:
         return f"{summary(v.cost[early, i])} → {summary(v.cost[-1, i])}"
@@ -200,7 +202,7 @@ def caption_8(variants: dict[str, Variant], runs: int) -> str:
         f"{10 * early} → {10 * (len(stable.cost) - 1)} roll-outs; of {runs} final policies those that are stable, "
         "b = −A x* included, and those that collide; share of all roll-outs that collide. p: one-sided Mann-Whitney tests, not "
         "corrected for their number.\n\n"
-        + "\n".join(lines)
+        + markdown(header, rows)
         + f"\n\nNoise {SHOWN}, medians [quartiles]:\n\n- {STABLE}: {course(stable, shown)};\n- {ALONG}: {course(along)}, "
         f"{along.stable[0]} of {runs} stable, {along.colliding[0]} colliding;\n- {SCHEDULED} as along the motion: "
         f"{course(scheduled)}; the former is lower at the end with p = {p:.2g}.\n\n"

@@ -7,7 +7,8 @@ from torch import Tensor
 
 import tasks
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
-from train.paper.figures.base import Made, below, boxes, learned, summary
+from train.paper.figures.base import Made, boxes, learned
+from train.statistics import below, summary
 
 SHAPES = ("N", "P")
 

@@ -61,13 +61,6 @@ def test_the_verdict(held, expected):
     assert verdict([Check("", bool(h), 1) for h in held]) == expected
 
 
-def test_cliffs_delta_counts_pairs(randn):
-    a, b = randn(7).numpy().round(1), randn(9).numpy().round(1)
-    a[0] = b[0]  # a tie
-    pairs = [np.sign(x - y) for x in a for y in b]
-    assert base.delta(a, b) == pytest.approx(sum(pairs) / 63, abs=1e-12)
-
-
 def test_lower_has_the_p_of_all_permutations(randn):
     a, b = randn(5).numpy(), randn(5).numpy() + 1.0
     pooled = np.concatenate([a, b])

@@ -1,0 +1,47 @@
+"""Tables in Markdown and for the terminal, read back cell by cell."""
+
+import re
+
+import pytest
+
+from train.tables import aligned, markdown
+
+
+def cells(line):
+    """The cells of a line of a Markdown table, as a reader's program splits it."""
+    assert line.startswith("| ") and line.endswith(" |")
+    return [cell.replace("\\|", "|") for cell in re.split(r"(?<!\\) \| ", line[2:-2])]
+
+
+def test_a_markdown_table_has_the_header_a_rule_and_the_rows():
+    head, rule, *rows = markdown(("name", "a|b"), [["x", "1"], ["p | q", ""]]).splitlines()
+    assert cells(head) == ["name", "a|b"]
+    assert cells(rule) == ["---", "---"]
+    assert [cells(row) for row in rows] == [["x", "1"], ["p | q", ""]]
+
+
+def test_columns_may_be_aligned_from_the_first_on():
+    rule = markdown(("a", "b", "c"), [], "lr").splitlines()[1]
+    assert cells(rule) == ["---", "---:", "---"]
+
+
+def test_a_table_without_rows_is_its_header():
+    assert markdown(("a", "b"), []) == "| a | b |\n| --- | --- |"
+    assert aligned(("a", "bb"), []) == "a  bb"
+
+
+def test_numbers_stand_right_and_text_left_for_the_terminal():
+    text = aligned(
+        ("cost", "initial", "n", "range"), [("total", 1234.5678, 3, "[1, 2]"), ("goal", 0.5, 1200, "[0, 1]")]
+    )
+    assert text.splitlines() == [
+        "cost   initial     n  range",
+        "total     1235     3  [1, 2]",
+        "goal       0.5  1200  [0, 1]",
+    ]
+    assert all(line == line.rstrip() for line in aligned(("a", "b"), [("x", "y"), ("x", "yyy")]).splitlines())
+
+
+def test_a_row_with_a_cell_too_few_is_found_out():
+    with pytest.raises(IndexError):
+        aligned(("a", "b"), [("x",)])
