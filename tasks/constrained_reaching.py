@@ -73,7 +73,7 @@ def _side(p: Tensor, q: Tensor, x: Tensor) -> Tensor:
 
 
 class WalledMotion(NamedTuple):
-    """A plant's `Motion`, and the reference position that counts: where it was when the plant met a wall."""
+    """A plant's `PointMassState`, and the reference position that counts: where it was when the plant met a wall."""
 
     x: Tensor
     v: Tensor
@@ -111,7 +111,7 @@ class WalledMass:
         stuck = self.inside(state.x)
         held = torch.where(stuck, state.held, command.x)
         v = command.v.masked_fill(stuck, 0.0)
-        free = self.free.step(plants.Motion(*state[:5]), command._replace(x=held, v=v))
+        free = self.free.step(plants.PointMassState(*state[:5]), command._replace(x=held, v=v))
         x = torch.where(stuck, state.x, free.x)
         return WalledMotion(x, free.v.masked_fill(self.inside(x), 0.0), *free[2:], held=held)
 

@@ -41,7 +41,6 @@ from torchds import visits as visits
 from torchds.demonstrations import Demonstration as Demonstration
 from torchds.demonstrations import Demonstrations as Demonstrations
 from torchds.fits import StableFit as StableFit
-from torchds.fits import fit_mixtures as fit_mixtures
 from torchds.fits import fit_stable as fit_stable
 from torchds.mixture import Conditional as Conditional
 from torchds.mixture import GaussianMixture as GaussianMixture
@@ -56,6 +55,7 @@ from torchds.recruiting import recruit as recruit
 from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout
+from torchds.starts import fit_mixtures as fit_mixtures
 
 __version__ = "0.1.0"
 

@@ -64,7 +64,7 @@ class CartesianImpedance:
 
     With the tool's Jacobian J, mass matrix M, bias torque c and the error e of the reference,
 
-    $$\tau = J^T (K e - D (\dot x - \dot x^{ref})) + c + \tau_{null}$$
+    .. math:: \tau = J^T (K e - D (\dot x - \dot x^{ref})) + c + \tau_{null}
 
     in the base frame. K is diagonal: the stiffness s along the two axes of the plane and `rotation_scale`·s about its
     normal; out of the plane, where position and orientation are fixed, stiff constants.

@@ -18,8 +18,8 @@ class InvalidDemonstrationsError(TorchdsError, ValueError):
     """Recorded data cannot be used: too short, not finite, mixed dimensions, no time step."""
 
 
-class DemonstrationFileError(InvalidDemonstrationsError):
-    """A file of demonstrations is not what its name claims."""
+class FileError(TorchdsError, ValueError):
+    """A file is missing, cannot be read, or does not hold what was expected of it."""
 
 
 class DegenerateMixtureError(TorchdsError, ValueError):

@@ -8,7 +8,7 @@ normalised units: positions relative to the goal and velocities, each of unit ro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -18,19 +18,15 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.mixture import GaussianMixture
 from torchds.policy import GMRPolicy
 from torchds.stability import Certificate
+from torchds.starts import Samples, fit_batch, sequence
 from torchds.trainable import TrainableMixture
 
 Condition = Literal["none", "seds", "p-qlf"]
 Objective = Literal["velocity", "likelihood"]
-Motions = Demonstrations | Sequence[Demonstrations]
 
 TAPER = 1.0  # distance to the goal [RMS distance] from which on the tube around the demonstrations narrows
 SOFTNESS = 0.05  # [RMS speed] errors below count as squares, above by their length
 RATE, RATE_WEIGHT = 0.3, 0.3  # a rate of convergence that is asked for, not enforced: motions do not creep at their end
-COVARIANCE_FLOOR = 1e-4  # of the mixtures that fits start from
-BIC_SAMPLES = (
-    64  # per demonstration: neighbouring samples are not independent, all of them would ask for too many Gaussians
-)
 METRIC_STARTS, METRIC_STEPS, METRIC_SAMPLES = 12, 200, 125
 
 
@@ -58,7 +54,7 @@ class StableFit(NamedTuple):
 
 @torch.enable_grad()
 def fit_stable(
-    demos: Motions,
+    demos: Demonstrations | Sequence[Demonstrations],
     n_components: int | Literal["bic"] | Sequence[int] = "bic",
     condition: Condition = "p-qlf",
     objective: Objective = "velocity",
@@ -117,10 +113,10 @@ def fit_stable(
             raise InvalidArgumentError(f"{option} has to be finite and ≥ 0, got {value}")
     if n_steps < 10:
         raise InvalidArgumentError(f"n_steps has to be at least 10, got {n_steps}")
-    samples = _Samples.of(_sequence(demos), goal)
+    samples = Samples.of(sequence(demos), goal)
     batch, D = samples.x.shape[0], samples.x.shape[-1]
     if start is None:
-        start = fit_mixtures(_sequence(demos), n_components, goal=goal, seed=seed)
+        start = fit_batch(sequence(demos), n_components, goal, seed)
     elif start.means.ndim == 2:
         start = GaussianMixture(*(part.unsqueeze(0) for part in (start.priors, start.means, start.covariances)))
     if start.batch_shape != (batch,) or start.means.shape[-1] != 2 * D:
@@ -156,131 +152,7 @@ def fit_stable(
         return _result(model.double(), samples, loss, single=isinstance(demos, Demonstrations))
 
 
-def fit_mixtures(
-    demos: Motions,
-    n_components: int | Literal["bic"] | Sequence[int] = "bic",
-    *,
-    goal: Tensor | None = None,
-    seed: int | Sequence[int] = 0,
-    max_components: int = 15,
-) -> GaussianMixture:
-    """A batch of mixtures of [x, v] by EM, one for each motion: what `fit_stable` starts from.
-
-    EM sees normalised units and starts once. Motions with fewer components than the largest of the batch are padded by
-    components of prior zero. "bic" counts 64 samples per demonstration, since neighbouring ones are not independent.
-
-    Args:
-        demos: one motion (a batch of one comes back), or several.
-        n_components: K for all, one K per motion, or "bic".
-        goal: as for `fit_stable`.
-        seed: of the k-means starts, one for all or one per motion.
-        max_components: the largest K that "bic" tries.
-
-    Raises:
-        InvalidArgumentError, DegenerateMixtureError: as `fit_stable`.
-    """
-    motions = _sequence(demos)
-    samples = _Samples.of(motions, goal)
-    counts = _one_each("n_components", n_components, len(motions))
-    fits = []
-    for i, (motion, K, s) in enumerate(zip(motions, counts, _one_each("seed", seed, len(motions)), strict=True)):
-        options = {"covariance_floor": COVARIANCE_FLOOR, "n_init": 1, "tol": 1e-3, "seed": s}
-        y = torch.cat([samples.x[i], samples.v[i]], -1)[samples.weight[i] > 0]
-        if K == "bic":
-            parts = y.split([len(demo.x) for demo in motion])
-            thinned = torch.cat([part[:: -(-len(part) // BIC_SAMPLES)] for part in parts])
-            K = GaussianMixture.fit(thinned, "bic", max_components=max_components, **options).n_components
-        fits.append(GaussianMixture.fit(y, K, **options))
-    size = max(fit.n_components for fit in fits)
-
-    def stack(name: str) -> Tensor:
-        parts = []
-        for fit in fits:
-            part = getattr(fit, name)
-            first = torch.zeros_like(part[:1]) if name == "priors" else part[:1]
-            parts.append(torch.cat([part, first.expand(size - len(part), *part.shape[1:])]))
-        return torch.stack(parts)
-
-    return samples.restore(GaussianMixture(stack("priors"), stack("means"), stack("covariances")))
-
-
-class _Samples(NamedTuple):
-    """The samples of a batch of motions, normalised and padded; float64."""
-
-    x: Tensor  # (B, N, D) relative to the goal
-    v: Tensor  # (B, N, D)
-    weight: Tensor  # (B, N) sums to one, zero for padding
-    goal: Tensor  # (B, D)
-    x_scale: Tensor  # (B,) RMS of a coordinate
-    v_scale: Tensor  # (B,)
-
-    @classmethod
-    def of(cls, motions: Sequence[Demonstrations], goal: Tensor | None) -> _Samples:
-        dims = sorted({motion.dim for motion in motions})
-        if len(dims) != 1:
-            raise InvalidArgumentError(f"the motions of a batch need one dimension, got {dims}; fit them one by one")
-        if goal is None:
-            goal = torch.stack([torch.stack([demo.x[-1] for demo in motion]).mean(0) for motion in motions])
-        goal = goal.to("cpu", torch.float64)
-        if goal.shape not in ((dims[0],), (len(motions), dims[0])) or not goal.isfinite().all():
-            raise InvalidArgumentError(
-                f"goal has to be finite and ({dims[0]},) or ({len(motions)}, {dims[0]}), got {goal.tolist()}"
-            )
-        goal = goal.expand(len(motions), dims[0])
-        stacked = [motion.stacked() for motion in motions]
-        x = [part.x.to("cpu", torch.float64) - g for part, g in zip(stacked, goal, strict=True)]
-        v = [part.v.to("cpu", torch.float64) for part in stacked]
-        x_scale, v_scale = (torch.stack([part.square().mean().sqrt() for part in parts]) for parts in (x, v))
-        if not ((x_scale > 0) & (v_scale > 0)).all():
-            raise InvalidArgumentError("a motion does not move: all its positions are the goal or all velocities zero")
-        pad = torch.nn.utils.rnn.pad_sequence
-        return cls(
-            pad(x, batch_first=True) / x_scale[:, None, None],
-            pad(v, batch_first=True) / v_scale[:, None, None],
-            pad([torch.full((len(part),), 1 / len(part), dtype=part.dtype) for part in x], batch_first=True),
-            goal,
-            x_scale,
-            v_scale,
-        )
-
-    def normalise(self, mixture: GaussianMixture) -> GaussianMixture:
-        """A batch of joint mixtures in the units of the data, in normalised ones."""
-        shift, scale = self._units()
-        means, covariances = mixture.means.to(scale), mixture.covariances.to(scale)
-        scaled = covariances / (scale.mT * scale).unsqueeze(1)
-        return GaussianMixture(mixture.priors.to(scale), (means - shift) / scale, scaled)
-
-    def restore(self, mixture: GaussianMixture) -> GaussianMixture:
-        """The inverse of `normalise`."""
-        shift, scale = self._units()
-        scaled = mixture.covariances * (scale.mT * scale).unsqueeze(1)
-        return GaussianMixture(mixture.priors, mixture.means * scale + shift, scaled)
-
-    def _units(self) -> tuple[Tensor, Tensor]:
-        """Origin and scale of [x, v], each (B, 1, 2D)."""
-        D = self.x.shape[-1]
-        scale = torch.stack([self.x_scale, self.v_scale], -1).repeat_interleave(D, -1)
-        return torch.cat([self.goal, torch.zeros_like(self.goal)], -1).unsqueeze(1), scale.unsqueeze(1)
-
-
-def _sequence(demos: Motions) -> Sequence[Demonstrations]:
-    if isinstance(demos, Demonstrations):
-        return [demos]
-    motions = list(demos)
-    if not motions or not all(isinstance(motion, Demonstrations) for motion in motions):
-        raise InvalidArgumentError(f"demos has to be Demonstrations or a sequence of them, got {demos!r}")
-    return motions
-
-
-def _one_each(name: str, value: int | str | Sequence[int], n: int) -> list[Any]:
-    """One value for each of n motions, from one for all or one each."""
-    values = [value] * n if isinstance(value, (int, str)) else list(value)
-    if len(values) != n:
-        raise InvalidArgumentError(f"{len(values)} values of {name} for {n} motions; give one for all or one for each")
-    return values
-
-
-def _regress(start: GaussianMixture, samples: _Samples, ridge: float = 1e-3) -> Tensor:
+def _regress(start: GaussianMixture, samples: Samples, ridge: float = 1e-3) -> Tensor:
     """Slopes (B, K, D, D) of the least squares through the goal, weighted by the gating that the fit starts with."""
     x, v, D = samples.x, samples.v, samples.x.shape[-1]
     weight = start.marginal(0, D).component_log_prob(x).softmax(-1) * samples.weight.unsqueeze(-1)  # (B, N, K)
@@ -296,7 +168,7 @@ def _velocity_loss(v: Tensor, predicted: Tensor, direction: float) -> Tensor:
     return ((v - predicted).square().sum(-1) + SOFTNESS**2).sqrt() + direction * turned
 
 
-def _initial_metric(samples: _Samples) -> Tensor:
+def _initial_metric(samples: Samples) -> Tensor:
     """The P (B, D, D) of trace D for which V = xᵀ P x rises least along the demonstrations.
 
     The mean positive part of the cosine of P x and v is minimised from several random starts; the best of them is kept.
@@ -331,7 +203,7 @@ def _initial_metric(samples: _Samples) -> Tensor:
         return P * (D / P.diagonal(dim1=-2, dim2=-1).sum(-1))[:, None, None]
 
 
-def _result(model: TrainableMixture, samples: _Samples, loss: Tensor, single: bool) -> StableFit:
+def _result(model: TrainableMixture, samples: Samples, loss: Tensor, single: bool) -> StableFit:
     """Back to the units of the data; padding becomes a copy of the first component, with prior zero."""
     mask, goal = model.mask, samples.goal.unsqueeze(1)
     x_scale, rate = samples.x_scale[:, None, None], (samples.v_scale / samples.x_scale)[:, None, None, None]

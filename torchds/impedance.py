@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.errors import InvalidArgumentError
-from torchds.plants import Command, Motion, PointMass
+from torchds.plants import Command, PointMass, PointMassState
 from torchds.rollouts import Rollout
 
 
@@ -54,7 +54,7 @@ class ImpedanceControlled:
         if form not in ("implicit", "explicit"):
             raise InvalidArgumentError(f"form has to be 'implicit' or 'explicit', got {form!r}")
         if not 0 <= low <= high:
-            raise InvalidArgumentError(f"0 ≤ low ≤ high is needed, got low={low} and high={high}")
+            raise InvalidArgumentError(f"low and high have to be 0 ≤ low ≤ high, got low={low} and high={high}")
         if stiffness is not None and not (torch.as_tensor(stiffness) >= 0).all():
             raise InvalidArgumentError(f"a constant stiffness has to be ≥ 0, got {stiffness}")
         if max_rate is not None and not max_rate > 0:
@@ -66,11 +66,11 @@ class ImpedanceControlled:
         self.max_rate = max_rate
         self.rows = rows
 
-    def reset(self, x0: Tensor) -> Motion:
+    def reset(self, x0: Tensor) -> PointMassState:
         """At rest at `x0`."""
         return self.plant.reset(x0)
 
-    def step(self, state: Motion, command: Command) -> Motion:
+    def step(self, state: PointMassState, command: Command) -> PointMassState:
         """One step of Eq. 29-33; the external force is taken at the state before it."""
         m, d, dt = self.plant.mass, self.plant.damping, command.dt
         s = self._stiffness(state.x, command.stiffness)
@@ -87,20 +87,20 @@ class ImpedanceControlled:
             u = s * (command.x_before - state.x - dt * state.v) + D * (command.v_before - state.v)
             a = (u + force - d * state.v) / (m + s * dt * dt + D * dt)
         x, v = self.plant.advance(state, a, dt)
-        return Motion(x, v, a, s, force)
+        return PointMassState(x, v, a, s, force)
 
-    def _stiffness(self, x: Tensor, rows: Tensor | None) -> Tensor:
+    def _stiffness(self, x: Tensor, asked: Tensor | None) -> Tensor:
         if self.stiffness is not None:
             return torch.as_tensor(self.stiffness, dtype=x.dtype, device=x.device).expand_as(x)
-        n_axes, n_rows = x.shape[-1], 0 if rows is None else rows.shape[-1]
+        n_axes, n_rows = x.shape[-1], 0 if asked is None else asked.shape[-1]
         index = list(self.rows) if self.rows is not None else [0] * n_axes if n_rows == 1 else list(range(n_rows))
-        if rows is None or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
-            received = "a policy without stiffness" if rows is None else f"{n_rows} stiffness rows"
+        if asked is None or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
+            received = "a policy without stiffness" if asked is None else f"{n_rows} stiffness rows"
             raise InvalidArgumentError(
                 f"{received} cannot control {n_axes} axes by rows={tuple(index)}: make the policy with stiffness_dim=1 (the "
                 f"same for all axes) or {n_axes}, or give ImpedanceControlled a constant stiffness"
             )
-        return rows.clamp(self.low, self.high)[..., index]
+        return asked.clamp(self.low, self.high)[..., index]
 
 
 def injected_energy(path: Rollout) -> Tensor:

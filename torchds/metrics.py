@@ -1,5 +1,6 @@
 """How far a learned motion is from a demonstrated one; the measures of the field, with their units.
 
+In all of them the learned motion comes first and the demonstrated one last.
 Numbers of different papers compare only if sub-sampling, units and normalisation agree; here nothing is normalised.
 """
 
@@ -13,29 +14,29 @@ from torch.nn import functional as F
 from torchds.errors import InvalidArgumentError, MissingPackageError
 
 
-def velocity_rmse(v: Tensor, predicted: Tensor) -> Tensor:
+def velocity_rmse(v: Tensor, demonstrated: Tensor) -> Tensor:
     """Mean over samples of √(mean over dimensions of squared errors) [velocity unit].
 
     This is the "RMSE" of the LPV-DS evaluations: a mean of lengths divided by √D, not the root of a mean.
 
     Args:
-        v: `(..., T, D)` demonstrated velocities.
-        predicted: `(..., T, D)` the policy's at the same positions.
+        v: `(..., T, D)` the policy's velocities at the demonstrated positions.
+        demonstrated: `(..., T, D)` the demonstrated ones.
 
     Returns:
         `(...)`.
     """
-    return (v - predicted).square().mean(-1).sqrt().mean(-1)
+    return (v - demonstrated).square().mean(-1).sqrt().mean(-1)
 
 
-def direction_error(v: Tensor, predicted: Tensor) -> Tensor:
+def direction_error(v: Tensor, demonstrated: Tensor) -> Tensor:
     """ė: mean over samples of 1 − cos of the angle between both velocities, between 0 and 2 `(...)`.
 
     Args:
-        v: `(..., T, D)` demonstrated velocities; a sample with a velocity of zero counts 1.
-        predicted: `(..., T, D)`.
+        v: `(..., T, D)` the policy's velocities at the demonstrated positions.
+        demonstrated: `(..., T, D)`; a sample with a velocity of zero counts 1.
     """
-    return (1 - F.cosine_similarity(v, predicted, dim=-1, eps=1e-30)).mean(-1)
+    return (1 - F.cosine_similarity(v, demonstrated, dim=-1, eps=1e-30)).mean(-1)
 
 
 def swept_area(x: Tensor, demonstrated: Tensor, n_points: int = 500) -> Tensor:
@@ -47,25 +48,31 @@ def swept_area(x: Tensor, demonstrated: Tensor, n_points: int = 500) -> Tensor:
     cross, the two triangles of a quadrilateral cancel, as in the shoelace formula.
 
     Args:
-        x: `(T_1, D)` a path.
-        demonstrated: `(T_2, D)` the other.
+        x: `(*batch, T_1, D)` paths.
+        demonstrated: `(*batch, T_2, D)` the others, or one `(T_2, D)` for all.
         n_points: after resampling.
+
+    Returns:
+        `(*batch,)`.
     """
     p, q = (_equidistant(path, n_points) for path in (x, demonstrated))
-    a, b = p[:-1] - q[1:], p[1:] - q[:-1]
+    a, b = p[..., :-1, :] - q[..., 1:, :], p[..., 1:, :] - q[..., :-1, :]
     gram = a.square().sum(-1) * b.square().sum(-1) - (a * b).sum(-1).square()  # |a × b|² in any dimension
-    return 0.5 * gram.clamp(min=0).sqrt().sum()
+    return 0.5 * gram.clamp(min=0).sqrt().sum(-1)
 
 
-def dtwd(x: Tensor, demonstrated: Tensor) -> float:
+def dtwd(x: Tensor, demonstrated: Tensor) -> Tensor:
     """Dynamic time warping distance: the smallest sum of distances over all monotone matchings [position unit].
 
     Ground distance Euclidean, no window, every sample of both paths matched, not divided by a number of samples: the
     "DTWD" of the LPV-DS evaluations. It grows with the number of samples.
 
     Args:
-        x: `(T_1, D)` a path.
-        demonstrated: `(T_2, D)` the other.
+        x: `(*batch, T_1, D)` paths.
+        demonstrated: `(*batch, T_2, D)` the others, or one `(T_2, D)` for all.
+
+    Returns:
+        `(*batch,)`; without gradients.
 
     Raises:
         MissingPackageError: dtaidistance is not installed.
@@ -74,18 +81,27 @@ def dtwd(x: Tensor, demonstrated: Tensor) -> float:
         from dtaidistance import dtw_ndim
     except ImportError as error:
         raise MissingPackageError("dtaidistance", "metrics", "dynamic time warping") from error
-    a, b = (np.ascontiguousarray(path.detach().cpu().numpy(), dtype=np.float64) for path in (x, demonstrated))
-    return float(dtw_ndim.distance_fast(a, b, inner_dist="euclidean"))
+    batch = x.shape[:-2]
+    others = demonstrated.expand(*batch, *demonstrated.shape[-2:])
+    pairs = zip(*(_rows_of_paths(paths) for paths in (x, others)), strict=True)
+    distances = [dtw_ndim.distance_fast(a, b, inner_dist="euclidean") for a, b in pairs]
+    return torch.tensor(distances, dtype=x.dtype, device=x.device).reshape(batch)
+
+
+def _rows_of_paths(paths: Tensor) -> list[np.ndarray]:
+    flat = paths.detach().cpu().double().reshape(-1, *paths.shape[-2:])
+    return [np.ascontiguousarray(path.numpy()) for path in flat]
 
 
 def _equidistant(path: Tensor, n: int) -> Tensor:
-    """N points at equal distances along a path `(T, D)`, both ends among them."""
-    if path.ndim != 2 or len(path) < 2:
-        raise InvalidArgumentError(f"a path has to be (T, D) with T ≥ 2, got {tuple(path.shape)}")
-    steps = torch.linalg.vector_norm(path.diff(dim=0), dim=-1)
-    length = F.pad(steps.cumsum(0), (1, 0))
-    at = torch.linspace(0, 1, n, dtype=path.dtype, device=path.device) * length[-1]
-    i = torch.searchsorted(length, at, right=True).clamp(1, len(path) - 1)
-    step = steps[i - 1]
-    share = torch.where(step > 0, (at - length[i - 1]) / step, 0.0)
-    return torch.lerp(path[i - 1], path[i], share.unsqueeze(-1))
+    """n points at equal distances along paths `(*batch, T, D)`, both ends among them."""
+    if path.ndim < 2 or path.shape[-2] < 2:
+        raise InvalidArgumentError(f"a path has to be (*batch, T, D) with T ≥ 2, got {tuple(path.shape)}")
+    steps = torch.linalg.vector_norm(path.diff(dim=-2), dim=-1)
+    length = F.pad(steps.cumsum(-1), (1, 0))
+    at = torch.linspace(0, 1, n, dtype=path.dtype, device=path.device) * length[..., -1:]
+    i = torch.searchsorted(length, at, right=True).clamp(1, path.shape[-2] - 1)
+    step, before = steps.gather(-1, i - 1), length.gather(-1, i - 1)
+    share = torch.where(step > 0, (at - before) / step, 0.0)
+    start, end = (path.take_along_dim(index.unsqueeze(-1), -2) for index in (i - 1, i))
+    return torch.lerp(start, end, share.unsqueeze(-1))

@@ -9,14 +9,14 @@ from os import PathLike
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import sklearn.mixture
 import torch
-from sklearn.exceptions import ConvergenceWarning
 from torch import Tensor
 
-from torchds.errors import DegenerateMixtureError, InvalidArgumentError
+from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError
 
 if TYPE_CHECKING:
+    import sklearn.mixture
+
     from torchds.demonstrations import Demonstrations
 
 
@@ -106,7 +106,7 @@ class GaussianMixture:
         return log_priors - 0.5 * (z.square().sum(-1) + F * math.log(2 * math.pi)) - log_det
 
     def log_prob(self, y: Tensor) -> Tensor:
-        """Log p(y), `(*batch, *points)` for `y` `(*batch, *points, F)`."""
+        """log p(y), `(*batch, *points)` for `y` `(*batch, *points, F)`."""
         return self.component_log_prob(y).logsumexp(-1)
 
     def marginal(self, start: int, stop: int) -> GaussianMixture:
@@ -147,7 +147,8 @@ class GaussianMixture:
         """Read a mixture from an .npz file with `priors`, `means` and `covariances`.
 
         Raises:
-            DegenerateMixtureError: no such file, another kind of file, missing arrays, or arrays that are no mixture.
+            FileError: no such file, another kind of file, or arrays that are not there.
+            DegenerateMixtureError: arrays that are no mixture.
         """
         try:
             with open(path, "rb") as stream, np.load(stream) as file:
@@ -155,11 +156,11 @@ class GaussianMixture:
                     name.removeprefix("gmm_"): np.asarray(file[name], dtype=np.float64) for name in _ARRAYS & set(file)
                 }
         except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            raise DegenerateMixtureError(f"{path} is no .npz file of a mixture: {error}") from error
+            raise FileError(f"{path}: not a readable .npz file of a mixture ({error})") from error
         found = {_ALIASES.get(name, name): value for name, value in found.items()}
         if missing := {"priors", "means", "covariances"} - set(found):
-            raise DegenerateMixtureError(
-                f"{path} has no {', '.join(sorted(missing))}; a mixture file holds priors (K,), means (K, F) and "
+            raise FileError(
+                f"{path}: no {', '.join(sorted(missing))}; a mixture file holds priors (K,), means (K, F) and "
                 "covariances (K, F, F)"
             )
         return cls(*(torch.from_numpy(found[name]) for name in ("priors", "means", "covariances")))
@@ -245,6 +246,9 @@ def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -
 def _expectation_maximisation(
     y: np.ndarray, K: int, covariance_floor: float, n_init: int, tol: float, seed: int
 ) -> sklearn.mixture.GaussianMixture:
+    import sklearn.mixture
+    from sklearn.exceptions import ConvergenceWarning
+
     model = sklearn.mixture.GaussianMixture(
         K, reg_covar=covariance_floor, n_init=n_init, tol=tol, max_iter=1000, random_state=seed
     )

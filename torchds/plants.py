@@ -36,14 +36,15 @@ class Command(NamedTuple):
     dt: float
 
 
-class Motion(NamedTuple):
-    """The state of a plant, with what caused it.
+class PointMassState(NamedTuple):
+    """The state of a `PointMass`, with what caused it.
 
     Attributes:
         x: `(*batch, *points, D)` position.
         v: `(*batch, *points, D)` velocity.
         acceleration: `(*batch, *points, D)` of the step that led here; zero at the start.
-        stiffness: `(*batch, *points, D)` applied in that step, one per axis [N/m].
+        stiffness: `(*batch, *points, D)` applied in that step, one per axis [N/m]; the policy may have asked for another
+            (`Rollout.stiffness`).
         force: `(*batch, *points, D)` external force in that step [N].
     """
 
@@ -78,21 +79,21 @@ class PointMass:
 
     def __init__(self, mass: float = 1.0, damping: float = 1.0, force: Force | None = None) -> None:
         if not mass > 0 or not damping >= 0:
-            raise InvalidArgumentError(f"mass > 0 and damping ≥ 0 are needed, got {mass} and {damping}")
+            raise InvalidArgumentError(f"mass has to be positive and damping ≥ 0, got {mass} and {damping}")
         self.mass = mass
         self.damping = damping
         self.force = force
 
-    def reset(self, x0: Tensor) -> Motion:
+    def reset(self, x0: Tensor) -> PointMassState:
         """At rest at `x0`."""
         zero = torch.zeros_like(x0)
-        return Motion(x0, zero, zero, zero, zero)
+        return PointMassState(x0, zero, zero, zero, zero)
 
-    def external(self, t: float, state: Motion) -> Tensor:
+    def external(self, t: float, state: PointMassState) -> Tensor:
         """The external force in a state."""
         return torch.zeros_like(state.x) if self.force is None else self.force(t, state.x, state.v).expand_as(state.x)
 
-    def advance(self, state: Motion, acceleration: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def advance(self, state: PointMassState, acceleration: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Velocity first, then position with the new velocity (Eq. 29-30)."""
         v = state.v + acceleration * dt
         return state.x + v * dt, v

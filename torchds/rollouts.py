@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -12,13 +12,38 @@ from torch import Tensor
 from torchds import visits
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command, Plant
-from torchds.policy import GMRPolicy
 
 StopCondition = Callable[[Tensor, Tensor], Tensor]
 """(x, x_next), each `(*batch, *points, D)` -> bool `(*batch, *points)`: True where the step must not be taken."""
 
 Shift = Tensor | Callable[[float], Tensor]
 """`(D,)`, `(*points, D)` or `(*batch, *points, D)`, or a function of the time [s] that returns one of these."""
+
+
+class DynamicalSystem(visits.LinearPolicy, Protocol):
+    """What a roll-out needs of a policy; `GMRPolicy` is one."""
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading dimensions of the parameters."""
+
+    @property
+    def input_dim(self) -> int:
+        """D."""
+
+    @property
+    def output_dim(self) -> int:
+        """O, the number of velocities."""
+
+    @property
+    def stiffness_dim(self) -> int:
+        """Q, the number of stiffness outputs."""
+
+    def features(self, x: Tensor) -> Tensor:
+        """`(*batch, *points, F)` at `x` `(*batch, *points, D)`."""
+
+    def outputs(self, features: Tensor, rows: Tensor) -> Tensor:
+        """[ẋ; s] `(*batch, *points, O+Q)` from features and `rows`."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +57,11 @@ class Rollout:
         features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T reference states.
         dt: time step [s].
         resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
-        stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m]; None for a policy without stiffness.
+        stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m], before any limits; what a plant applied is
+            `plant.stiffness`. None for a policy without stiffness.
         reference: `(*batch, *points, T+1, D)` the motion that the policy generates; `x` itself without a plant.
         inputs: `(*batch, *points, T, D)` what the policy saw: the first T reference states, less the shift.
-        plant: all that the plant went through (a `Motion` for a point mass), each field `(*batch, *points, T+1, ...)`;
+        plant: all that the plant went through (a `PointMassState` for a point mass), each field `(*batch, *points, T+1, ...)`;
             None without a plant.
     """
 
@@ -81,7 +107,7 @@ class Bounds:
 
 
 def rollout(
-    policy: GMRPolicy,
+    policy: DynamicalSystem,
     x0: Tensor,
     n_steps: int,
     dt: float,
@@ -94,7 +120,7 @@ def rollout(
     """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
 
     Args:
-        policy: with any batch_shape.
+        policy: a `GMRPolicy` or another `DynamicalSystem`, with any batch_shape.
         x0: `(*points, D)` starts that every policy of the batch sets out from; or, with starts="per_policy",
             `(*batch_shape, *points, D)` starts of each policy's own.
         n_steps: T.
@@ -123,9 +149,13 @@ def rollout(
             f"x0 {tuple(x0.shape)} has to begin with batch_shape {batch} for starts='per_policy'"
         )
     if policy.output_dim < D:
-        raise InvalidArgumentError(f"{policy.output_dim} velocities cannot move {D} inputs")
+        raise InvalidArgumentError(
+            f"a policy of {D} inputs has to have as many velocities or more, got {policy.output_dim}"
+        )
     if n_steps < 1 or not 0 < dt < float("inf"):
-        raise InvalidArgumentError(f"n_steps ≥ 1 and a finite dt > 0 are needed, got n_steps={n_steps} and dt={dt}")
+        raise InvalidArgumentError(
+            f"n_steps has to be ≥ 1 and dt positive and finite, got n_steps={n_steps} and dt={dt}"
+        )
     x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
     rows = policy.rows()
     O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)

@@ -218,7 +218,7 @@ class _Slopes(nn.Module):
 
 
 class _Offsets(nn.Module):
-    """B = −A x*, whose only tensor is the goal."""
+    """b = −A x*, whose only tensor is the goal."""
 
     def __init__(self, policy: nn.Module, goal: Tensor) -> None:
         super().__init__()

@@ -29,6 +29,9 @@ class TrainableMixture(nn.Module):
         floor: added to the variance of positions and velocities.
     """
 
+    mask: Tensor
+    fixed_P: Tensor | None
+
     def __init__(
         self,
         start: GaussianMixture,
@@ -58,9 +61,6 @@ class TrainableMixture(nn.Module):
         if learn_metric:
             self.metric = nn.Parameter(_log_diagonal(torch.linalg.cholesky(P)))
 
-    mask: Tensor
-    fixed_P: Tensor | None
-
     @property
     def P(self) -> Tensor | None:
         """`(B, D, D)` of trace D; None without a condition."""
@@ -88,7 +88,7 @@ class TrainableMixture(nn.Module):
         return torch.cholesky_inverse(_exp_diagonal(self.precision.triu()), upper=True)
 
     def log_weights(self, x: Tensor) -> Tensor:
-        """Log π_k N(x; μ_k, Σ_k) up to a constant, `(B, N, K)` for `x` `(B, N, D)`.
+        """log π_k N(x; μ_k, Σ_k) up to a constant, `(B, N, K)` for `x` `(B, N, D)`.
 
         A log density of a Gaussian is linear in [x_i x_j, x, 1], so that all are one product of matrices.
         """
@@ -108,7 +108,7 @@ class TrainableMixture(nn.Module):
         return (slope * x.unsqueeze(-2)).sum(-1)
 
     def log_likelihood(self, x: Tensor, v: Tensor) -> Tensor:
-        """Log p(x, v) of each sample up to a constant, `(B, N)`, with v ~ N(A_k x, the noise of k)."""
+        """log p(x, v) of each sample up to a constant, `(B, N)`, with v ~ N(A_k x, the noise of k)."""
         root = _exp_diagonal(self.noise.triu())
         z = torch.einsum("bkij,bnj->bnki", root, v) - torch.einsum("bkij,bnj->bnki", root @ self.A, x)
         total = self.log_prior.masked_fill(~self.mask, PADDING).logsumexp(-1)[:, None, None]

@@ -11,9 +11,10 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of its own rung and below.
 LIBRARY = [
     {"errors"},
-    {"visits"},
-    {"mixture", "demonstrations", "recordings", "costs", "stability", "metrics"},
-    {"parameters", "trainable"},
+    {"visits", "arrays"},
+    {"preparation"},
+    {"mixture", "demonstrations", "costs", "stability", "metrics"},
+    {"recordings", "parameters", "trainable", "starts"},
     {"policy"},
     {"plants", "cartesian"},
     {"impedance", "rollouts"},

@@ -84,11 +84,11 @@ def test_add_keeps_names_and_known_units():
     a, b = two(names="ab"), two(units="m")
     both = a + b
     assert len(both) == 4 and both.names == ("a", "b") and both.units == ("m", "m")
-    with refuses(InvalidArgumentError, "('m', 'm') and in ('mm', 'mm')", "scale()"):
+    with refuses(InvalidArgumentError, "have to be in ('m', 'm'), got ('mm', 'mm')", "scale()"):
         b + two(units="mm")
-    with refuses(InvalidArgumentError, "2 and of 1 dimensions"):
+    with refuses(InvalidArgumentError, "have to have 2 dimensions, got 1"):
         a + Demonstrations([[[0], [1]]], dt=1)
-    with refuses(InvalidArgumentError, "with and without stiffness", "with_stiffness()"):
+    with refuses(InvalidArgumentError, "a stiffness both or neither", "with_stiffness()"):
         a + two(stiffness=True)
     with pytest.raises(TypeError):
         operator.add(a, [1])
@@ -128,7 +128,7 @@ def test_forward_differences_are_euler_steps():
     for d, f in zip(demos, demos.forward_differences(), strict=True):
         assert len(f.x) == len(d.x) - 1 == len(f.stiffness) and f.dt == d.dt
         assert torch.allclose(f.x + f.dt * f.v, d.x[1:], atol=1e-14) and torch.equal(f.x, d.x[:-1])
-    with refuses(InvalidDemonstrationsError, "demonstration 0 has 1 sample"):
+    with refuses(InvalidDemonstrationsError, "demonstration 0 has to have at least two samples, got 1"):
         Demonstrations([[[0.0], [1.0]]], dt=1).forward_differences()
 
 
@@ -216,26 +216,44 @@ def test_with_stiffness_is_a_constant_column_each():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"x": [], "dt": 1}, ["there are no demonstrations"]),
-        ({"x": [[[0, 0]]], "dt": 1}, ["demonstration 0 has 1 sample", "at least two", "Leave it out"]),
-        ({"x": [np.zeros((5, 2)), np.zeros((0, 2))], "dt": 1}, ["demonstration 1 has 0 sample"]),
-        ({"x": np.zeros((5, 2)), "dt": 1}, ["x of demonstration 0 has shape (2,)", "(T, D)", "[x]"]),
+        ({"x": [], "dt": 1}, ["x has to be at least one array (T, D), got none"]),
+        ({"x": [[[0, 0]]], "dt": 1}, ["demonstration 0 has to have at least two samples, got 1", "leave it out"]),
+        (
+            {"x": [np.zeros((5, 2)), np.zeros((0, 2))], "dt": 1},
+            ["demonstration 1 has to have at least two samples, got 0"],
+        ),
+        ({"x": np.zeros((5, 2)), "dt": 1}, ["x of demonstration 0 has to be (T, D)", "got shape (2,)", "[x]"]),
         ({"x": [np.zeros((5, 0))], "dt": 1}, ["shape (5, 0)"]),
         (
             {"x": [np.zeros((5, 2)), np.zeros((5, 3))], "dt": 1},
-            ["demonstration 1 has 3 columns", "demonstration 0 has 2"],
+            ["demonstration 1 has to have the 2 columns of demonstration 0, got 3"],
         ),
-        ({"x": [[[0, 1], [2]]], "dt": 1}, ["x of demonstration 0 is not an array of real numbers"]),
-        ({"x": [[["a"], ["b"]]], "dt": 1}, ["not an array of real numbers"]),
-        ({"x": [torch.zeros(5, 2, dtype=torch.complex64)], "dt": 1}, ["not an array of real numbers"]),
-        ({"x": [np.zeros((5, 2))]}, ["no time step", "Pass dt= in seconds"]),
-        ({"x": [np.zeros((5, 2))], "v": [np.zeros((4, 2))], "dt": 1}, ["demonstration 0", "(5, 2) but v has (4, 2)"]),
+        (
+            {"x": [[[0, 1], [2]]], "dt": 1},
+            ["x of demonstration 0 has to be an array of real numbers", "got [[0, 1], [2]]"],
+        ),
+        ({"x": [[["a"], ["b"]]], "dt": 1}, ["has to be an array of real numbers", "got [['a'], ['b']]"]),
+        (
+            {"x": [torch.zeros(5, 2, dtype=torch.complex64)], "dt": 1},
+            ["has to be an array of real numbers", "got tensor(["],
+        ),
+        ({"x": [np.zeros((5, 2))]}, ["dt has to be the time step in seconds, got none", "pass dt="]),
+        (
+            {"x": [np.zeros((5, 2))], "v": [np.zeros((4, 2))], "dt": 1},
+            ["demonstration 0: v has to have the 5 rows of x, got shape (4, 2)"],
+        ),
         (
             {"x": [np.zeros((5, 2))], "v": [np.zeros((5, 1))], "dt": 1},
-            ["x has shape (5, 2) but v has (5, 1)", "leave v out"],
+            ["v has to have the shape (5, 2) of x, got (5, 1)", "leave v out"],
         ),
-        ({"x": [np.zeros((5, 2))] * 2, "v": [np.zeros((5, 2))], "dt": 1}, ["1 arrays v for 2 demonstrations"]),
-        ({"x": [np.zeros((5, 2))], "stiffness": [np.zeros((4, 2))], "dt": 1}, ["but stiffness has (4, 2)"]),
+        (
+            {"x": [np.zeros((5, 2))] * 2, "v": [np.zeros((5, 2))], "dt": 1},
+            ["v has to be one array for each of the 2 demonstrations, got 1"],
+        ),
+        (
+            {"x": [np.zeros((5, 2))], "stiffness": [np.zeros((4, 2))], "dt": 1},
+            ["stiffness has to have the 5 rows of x, got shape (4, 2)"],
+        ),
     ],
 )
 def test_unusable_data_are_refused(arguments, words):
@@ -252,11 +270,11 @@ def test_bad_time_steps_are_refused(dt):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"dt": [1, 1, 1]}, ["dt has 3 values for 2 demonstrations"]),
-        ({"dt": "fast"}, ["dt is 'fast'"]),
-        ({"names": ["a"]}, ["1 names ('a',) for 2 dimensions"]),
-        ({"names": ["a", "a"]}, ["('a', 'a') has duplicates"]),
-        ({"units": ["m"]}, ["1 units ('m',) for 2 dimensions"]),
+        ({"dt": [1, 1, 1]}, ["dt has to be one value for all or one for each of the 2 demonstrations, got 3"]),
+        ({"dt": "fast"}, ["dt has to be a number [s]", "got 'fast'"]),
+        ({"names": ["a"]}, ["names has to be one for each of the 2 dimensions, got ('a',)"]),
+        ({"names": ["a", "a"]}, ["a different one for each dimension, got ('a', 'a')"]),
+        ({"units": ["m"]}, ["units has to be one for each of the 2 dimensions, got ('m',)"]),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(arguments, words):
@@ -269,7 +287,7 @@ def test_values_that_are_not_finite_are_found(value):
     good, bad = np.zeros((5, 2)), np.zeros((5, 2))
     bad[3, 1] = value
     where = "demonstration 1, row 3 (counted from 0), column '"
-    with refuses(InvalidDemonstrationsError, where + f"b': {value} is not finite"):
+    with refuses(InvalidDemonstrationsError, where + f"b': all values have to be finite, got {value}"):
         Demonstrations([good, bad], dt=1, names="ab")
     with refuses(InvalidDemonstrationsError, where + "velocity of x2'"):
         Demonstrations([good, good], [good, bad], dt=1)
@@ -280,25 +298,28 @@ def test_values_that_are_not_finite_are_found(value):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda d: d[2:], ["leaves none of the 2"]),
-        (lambda d: d.resample(1), ["n_samples is 1", "integer of at least 2"]),
-        (lambda d: d.resample(10.5), ["n_samples is 10.5"]),
-        (lambda d: Demonstrations([[[0], [1], [2]]], dt=1).resample(9, "cubic"), ["0 has 3 samples", 'kind="linear"']),
-        (lambda d: d.every(0), ["n is 0"]),
-        (lambda d: d.every(61), ["every(61)", "61 samples of demonstration 1", "n < 61"]),
-        (lambda d: d.smooth(6), ["window is 6", "odd", "Use 7"]),
-        (lambda d: d.smooth(3), ["window is 3", "at least 4"]),
-        (lambda d: d.smooth(5, 0), ["order is 0"]),
-        (lambda d: d.smooth(99), ["demonstration 1 has 61 samples"]),
-        (lambda d: d.shift_to_goal([0, 0, 0]), ["goal has 3 entries", "2 dimensions"]),
-        (lambda d: d.shift_to_goal([0, float("nan")]), ["goal is", "finite"]),
-        (lambda d: d.scale(0), ["factor is 0", "positive"]),
-        (lambda d: d.scale(1, units=["m"]), ["1 units"]),
-        (lambda d: d.retime(float("inf")), ["duration is inf"]),
-        (lambda d: d.mirror(2), ["dim is 2", "0 to 1"]),
-        (lambda d: d.with_stiffness(float("nan")), ["stiffness is nan"]),
-        (lambda d: d.with_stiffness([[1, 2]]), ["stiffness is [[1, 2]]", "one row"]),
-        (lambda d: d.save_npz("demos.txt"), ["demos.txt does not end in .npz", "demos.npz"]),
+        (lambda d: d[2:], ["at least one of the 2 demonstrations, got slice(2, None, None)"]),
+        (lambda d: d.resample(1), ["n_samples has to be an integer of at least 2, got 1"]),
+        (lambda d: d.resample(10.5), ["n_samples", "got 10.5"]),
+        (
+            lambda d: Demonstrations([[[0], [1], [2]]], dt=1).resample(9, "cubic"),
+            ["needs four samples, got 3 in demonstration 0", 'kind="linear"'],
+        ),
+        (lambda d: d.every(0), ["n has to be an integer of at least 1, got 0"]),
+        (lambda d: d.every(61), ["n has to be below the 61 samples of demonstration 1, got 61"]),
+        (lambda d: d.smooth(6), ["window has to be odd, got 6", "use 7"]),
+        (lambda d: d.smooth(3), ["window", "at least 4, got 3"]),
+        (lambda d: d.smooth(5, 0), ["order", "at least 1, got 0"]),
+        (lambda d: d.smooth(99), ["at most the 61 samples of demonstration 1, got 99"]),
+        (lambda d: d.shift_to_goal([0, 0, 0]), ["goal has to be (2,)", "got (3,)"]),
+        (lambda d: d.shift_to_goal([0, float("nan")]), ["goal", "finite numbers, got [0, nan]"]),
+        (lambda d: d.scale(0), ["factor has to be positive and finite, got 0"]),
+        (lambda d: d.scale(1, units=["m"]), ["units has to be one for each of the 2 dimensions"]),
+        (lambda d: d.retime(float("inf")), ["duration", "finite, got inf"]),
+        (lambda d: d.mirror(2), ["dim has to be 0 to 1", "got 2"]),
+        (lambda d: d.with_stiffness(float("nan")), ["stiffness", "finite numbers, got nan"]),
+        (lambda d: d.with_stiffness([[1, 2]]), ["stiffness has to be one row", "got [[1, 2]]"]),
+        (lambda d: d.save_npz("demos.txt"), ["path has to end in .npz, got demos.txt", "demos.npz"]),
     ],
 )
 def test_methods_refuse_bad_arguments(call, words):

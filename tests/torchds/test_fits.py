@@ -143,7 +143,8 @@ def test_a_batch_of_one_keeps_its_batch(angle):
 
 def test_fits_may_share_a_start(angle, fitted):
     start = fit_mixtures(angle, 5)
-    assert start.batch_shape == (1,)
+    assert start.batch_shape == ()
+    assert fit_mixtures([angle], 5).batch_shape == (1,)
     fit = fit_stable(angle, start=start, n_steps=250)
     assert_close(fit.policy.A.data, fitted["p-qlf"].policy.A.data, rtol=1e-2, atol=1e-2)  # units there and back
 
@@ -154,12 +155,12 @@ def test_mixtures_are_those_of_the_data(angle):
     alone = fit_mixtures(angle, 2)
     x, v, _ = angle.stacked()
     y = torch.cat([x, v], -1)
-    assert_close(both.log_prob(y.expand(2, -1, -1))[0], alone.log_prob(y.unsqueeze(0))[0])
+    assert_close(both.log_prob(y.expand(2, -1, -1))[0], alone.log_prob(y))
     spread = torch.cov(y.T)
-    mean = (alone.priors[0, :, None] * alone.means[0]).sum(0)
+    mean = (alone.priors[:, None] * alone.means).sum(0)
     assert_close(mean, y.mean(0), rtol=1e-4, atol=1e-4)
-    off = alone.means[0] - mean
-    total = (alone.priors[0, :, None, None] * (alone.covariances[0] + off[:, :, None] * off[:, None])).sum(0)
+    off = alone.means - mean
+    total = (alone.priors[:, None, None] * (alone.covariances + off[:, :, None] * off[:, None])).sum(0)
     assert_close(total, spread, rtol=0.01, atol=0.02 * float(spread.max()))
 
 

@@ -374,9 +374,9 @@ def test_float32_stays_float32_and_close(form):
     ("options", "message"),
     [
         ({"form": "euler"}, "form has to be 'implicit' or 'explicit', got 'euler'"),
-        ({"low": -1.0}, "0 ≤ low ≤ high is needed, got low=-1.0 and high=inf"),
-        ({"low": 5.0, "high": 4.0}, "0 ≤ low ≤ high is needed, got low=5.0 and high=4.0"),
-        ({"low": float("nan")}, "0 ≤ low ≤ high is needed, got low=nan"),
+        ({"low": -1.0}, "low and high have to be 0 ≤ low ≤ high, got low=-1.0 and high=inf"),
+        ({"low": 5.0, "high": 4.0}, "low and high have to be 0 ≤ low ≤ high, got low=5.0 and high=4.0"),
+        ({"low": float("nan")}, "low and high have to be 0 ≤ low ≤ high, got low=nan"),
         ({"max_rate": 0.0}, "max_rate has to be positive, got 0.0"),
         ({"stiffness": -3.0}, "a constant stiffness has to be ≥ 0, got -3.0"),
         ({"stiffness": float("nan")}, "a constant stiffness has to be ≥ 0, got nan"),

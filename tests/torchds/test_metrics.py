@@ -52,7 +52,7 @@ def test_a_path_that_pauses_sweeps_the_same_area():
 
 
 def test_a_single_point_is_no_path():
-    with pytest.raises(InvalidArgumentError, match=r"a path has to be \(T, D\) with T ≥ 2, got \(1, 2\)"):
+    with pytest.raises(InvalidArgumentError, match=r"a path has to be \(\*batch, T, D\) with T ≥ 2, got \(1, 2\)"):
         swept_area(torch.zeros(1, 2), torch.zeros(3, 2))
 
 
@@ -71,6 +71,15 @@ def warping(a, b):
 def test_dtwd_is_the_recursion(randn, n, m, D):
     a, b = randn(n, D).cumsum(0), randn(m, D).cumsum(0)
     assert dtwd(a, b) == pytest.approx(warping(a.numpy(), b.numpy()), rel=1e-12)
+
+
+def test_a_batch_of_paths_is_measured_as_each_alone(randn):
+    x, one, each = randn(2, 3, 20, 2), randn(15, 2), randn(2, 3, 15, 2)
+    for measure in (dtwd, swept_area):
+        for other in (one, each):
+            batch = measure(x, other)
+            alone = [[measure(x[i, j], other if other is one else other[i, j]) for j in range(3)] for i in range(2)]
+            assert_close(batch, torch.tensor(alone, dtype=x.dtype), rtol=1e-13, atol=0)
 
 
 def test_dtwd_by_hand():

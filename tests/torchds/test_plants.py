@@ -11,7 +11,7 @@ from torch.testing import assert_close
 from torchds import Bounds, GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.impedance import ImpedanceControlled
-from torchds.plants import Command, Motion, PointMass
+from torchds.plants import Command, PointMass, PointMassState
 
 
 def tensor(*values):
@@ -26,7 +26,7 @@ def test_a_point_mass_begins_at_rest():
 
 
 def test_the_velocity_is_advanced_first_and_the_position_with_the_new_one():
-    state = Motion(tensor(1.0), tensor(2.0), tensor(0.0), tensor(0.0), tensor(0.0))
+    state = PointMassState(tensor(1.0), tensor(2.0), tensor(0.0), tensor(0.0), tensor(0.0))
     x, v = PointMass().advance(state, tensor(3.0), 0.5)
     assert v.tolist() == [3.5]
     assert x.tolist() == [1.0 + 3.5 * 0.5]
@@ -75,7 +75,9 @@ def test_a_free_mass_under_a_constant_force_approaches_its_terminal_velocity(ran
     ("mass", "damping"), [(0.0, 1.0), (-1.0, 1.0), (float("nan"), 1.0), (1.0, -0.1), (1.0, float("nan"))]
 )
 def test_masses_and_dampings_that_do_not_exist_are_refused(mass, damping):
-    with pytest.raises(InvalidArgumentError, match=f"mass > 0 and damping ≥ 0 are needed, got {mass} and {damping}"):
+    with pytest.raises(
+        InvalidArgumentError, match=f"mass has to be positive and damping ≥ 0, got {mass} and {damping}"
+    ):
         PointMass(mass, damping)
 
 

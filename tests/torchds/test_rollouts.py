@@ -216,7 +216,7 @@ def test_a_start_that_is_not_a_number_rests_at_once():
             "x0 (3, 2) has to begin with batch_shape (4,) for starts='per_policy'",
         ),
         ({"starts": "each"}, "starts has to be 'shared' or 'per_policy', got 'each'"),
-        ({"n_steps": 0}, "n_steps ≥ 1 and a finite dt > 0 are needed, got n_steps=0 and dt=0.1"),
+        ({"n_steps": 0}, "n_steps has to be ≥ 1 and dt positive and finite, got n_steps=0 and dt=0.1"),
         ({"dt": 0.0}, "got n_steps=3 and dt=0.0"),
         ({"dt": -0.1}, "got n_steps=3 and dt=-0.1"),
         ({"dt": float("nan")}, "got n_steps=3 and dt=nan"),
@@ -232,7 +232,9 @@ def test_arguments_that_do_not_fit_are_refused(random_policy, change, message):
 
 
 def test_fewer_velocities_than_inputs_are_refused(random_policy):
-    with pytest.raises(InvalidArgumentError, match="1 velocities cannot move 2 inputs"):
+    with pytest.raises(
+        InvalidArgumentError, match="a policy of 2 inputs has to have as many velocities or more, got 1"
+    ):
         rollout(random_policy(D=2, O=1), torch.zeros(2, dtype=torch.float64), n_steps=3, dt=0.1)
 
 

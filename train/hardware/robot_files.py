@@ -17,7 +17,7 @@ import torch
 from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
-from torchds.errors import DemonstrationFileError
+from torchds.errors import FileError
 from torchds.recordings import read_table
 from train.folder import write_atomically
 
@@ -86,13 +86,13 @@ def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Record
         dt: time step [s].
 
     Raises:
-        DemonstrationFileError: a file that is no table of finite numbers, columns that are not there or have another unit,
+        FileError: a file that is no table of finite numbers, columns that are not there or have another unit,
             times that do not increase, leave a gap, or do not cover the motion, or a start elsewhere.
     """
     header, table = read_table(path)
     needed = ("time [s]", *POSE, *FORCE)
     if absent := [name for name in needed if name not in header and name != OPTIONAL]:
-        raise DemonstrationFileError(
+        raise FileError(
             f"{path}: no column {', '.join(map(repr, absent))}. The columns have to be {', '.join(needed)} ({OPTIONAL} may be "
             f"left out), units included; the header says {', '.join(header)}."
         )
@@ -103,7 +103,7 @@ def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Record
     pose, force = (np.stack([columns[name] for name in names], -1) for names in (POSE, FORCE))
     for name, measured, wanted, allowed in zip(POSE, pose[0], start.tolist(), START, strict=True):
         if abs(measured - wanted) > allowed:
-            raise DemonstrationFileError(
+            raise FileError(
                 f"{path}: the motion starts at {name} = {measured:g}, its reference at {wanted:g}. They have to agree within "
                 f"{allowed:g}: same base frame, tool point and units."
             )
@@ -117,20 +117,20 @@ def check_times(path: Path, t: np.ndarray, times: np.ndarray) -> None:
     """Refuse sample times `t` that do not cover the motion at `times`.
 
     Raises:
-        DemonstrationFileError: what is wrong with them.
+        FileError: what is wrong with them.
     """
     steps = np.diff(t)
     if steps.min() <= 0:
         at = int(steps.argmin()) + 1
-        raise DemonstrationFileError(f"{path}: the time has to increase, but {t[at]:g} s follows {t[at - 1]:g} s.")
+        raise FileError(f"{path}: the time has to increase, but {t[at]:g} s follows {t[at - 1]:g} s.")
     if steps.max() > MAX_GAP:
         at = int(steps.argmax())
-        raise DemonstrationFileError(
+        raise FileError(
             f"{path}: nothing between {t[at]:g} and {t[at + 1]:g} s. Samples have to be at most {MAX_GAP:g} s apart."
         )
     slack = max(np.median(steps), times[1]) + 1e-9
     if abs(t[0]) > slack or abs(t[-1] - times[-1]) > slack:
-        raise DemonstrationFileError(
+        raise FileError(
             f"{path}: lasts from {t[0]:g} to {t[-1]:g} s, the motion from 0 to {times[-1]:g} s. They have to agree within one "
             "sample: cut the recording, or mark the roll-out as failed if the robot stopped."
         )
@@ -147,13 +147,13 @@ def read_costs(path: Path, n: int) -> dict[int, float]:
     """Read a table with the columns rollout and cost: infinity where the cost is empty or says "failed".
 
     Raises:
-        DemonstrationFileError: another header, or a line that names no roll-out from 1 to n, names one again, or has no
+        FileError: another header, or a line that names no roll-out from 1 to n, names one again, or has no
             finite cost.
     """
     with path.open(newline="", encoding="utf-8-sig") as file:
         header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file) if line] or [[]]
     if header != ["rollout", "cost"]:
-        raise DemonstrationFileError(f"{path}: the header has to be rollout,cost, it is {','.join(header)!r}.")
+        raise FileError(f"{path}: the header has to be rollout,cost, it is {','.join(header)!r}.")
     costs: dict[int, float] = {}
     for line in lines:
         try:
@@ -163,7 +163,7 @@ def read_costs(path: Path, n: int) -> dict[int, float]:
         except (ValueError, IndexError):
             usable = False
         if not usable:
-            raise DemonstrationFileError(
+            raise FileError(
                 f"{path}: {','.join(line)!r} is no line like 3,1.25 or 3,failed with a roll-out from 1 to {n}, each once."
             )
         costs[rollout] = cost
@@ -174,14 +174,14 @@ def returned(folder: Path, n: int) -> list[State]:
     """What has come back of the roll-outs 1 to n; a mark recording-<k>.failed counts more than a recording beside it.
 
     Raises:
-        DemonstrationFileError: recordings and costs both, or costs that cannot be read.
+        FileError: recordings and costs both, or costs that cannot be read.
     """
     costs = read_costs(folder / COSTS, n) if (folder / COSTS).is_file() else {}
     states: list[State] = []
     for k in range(1, n + 1):
         recorded = recording(folder, k).is_file()
         if recorded and (folder / COSTS).is_file():
-            raise DemonstrationFileError(f"{folder}: has recordings and {COSTS}. Leave one of them.")
+            raise FileError(f"{folder}: has recordings and {COSTS}. Leave one of them.")
         failed = failure(folder, k).exists() or math.isinf(costs.get(k, 0.0))
         states.append("failed" if failed else "there" if recorded or k in costs else "missing")
     return states

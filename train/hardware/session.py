@@ -187,7 +187,7 @@ class Session:
 
         Raises:
             InvalidArgumentError: roll-outs are missing, or costs come where recordings came before or the other way round.
-            DemonstrationFileError: a file that cannot be used.
+            FileError: a file that cannot be used.
             AllRolloutsFailedError: no roll-out has a cost; the policy stays, and the session can ask again.
         """
         if not self.asked:

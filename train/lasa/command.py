@@ -138,8 +138,8 @@ def evaluate(method: str, fit: StableFit, split: Split) -> dict[str, list]:
     certificate = fit.certificate()
     measured = {
         "K": fit.n_components,
-        "rmse": metrics.velocity_rmse(split.v, predicted).mean(-1),
-        "edot": metrics.direction_error(split.v, predicted).mean(-1),
+        "rmse": metrics.velocity_rmse(predicted, split.v).mean(-1),
+        "edot": metrics.direction_error(predicted, split.v).mean(-1),
         **reproduce(policy, split),
         "grid": share_at_goal(policy, split.box, fit.goal),
         "certified": certificate.stable & torch.tensor(method in ("seds", "p-qlf")),

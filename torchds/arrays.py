@@ -1,0 +1,137 @@
+"""Arrays that users give, as tensors: what is taken, and what is refused with the place of the fault.
+
+Stability: experimental.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError
+
+Array = Tensor | ArrayLike
+
+
+def tensor(where: str, value: Array) -> Tensor:
+    """A copy as float32 or float64 tensor."""
+    if isinstance(value, Tensor):
+        keep = value.dtype in (torch.float32, torch.float64)
+        real = not value.is_complex()
+    else:
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            array = np.empty(0, dtype=object)  # rows of different lengths
+        real = array.dtype.kind in "biuf"
+        keep = array.dtype == np.float32
+        if real:
+            value = torch.from_numpy(np.array(array, dtype=np.float32 if keep else np.float64, order="C"))
+    if not real or not isinstance(value, Tensor):
+        raise InvalidDemonstrationsError(
+            f"{where} has to be an array of real numbers with rows of equal length, got {value!r:.60}"
+        )
+    return value.detach().to(value.dtype if keep else torch.float64, copy=True)
+
+
+def tensors(what: str, arrays: Sequence[Array] | Tensor) -> list[Tensor]:
+    """One (T, C) tensor per demonstration with equal C, dtype and device."""
+    values = [tensor(f"{what} of demonstration {i}", array) for i, array in enumerate(arrays)]
+    if not values:
+        raise InvalidDemonstrationsError(f"{what} has to be at least one array (T, D), got none")
+    for i, value in enumerate(values):
+        if value.ndim != 2 or not value.shape[1]:
+            raise InvalidDemonstrationsError(
+                f"{what} of demonstration {i} has to be (T, D), samples in rows and dimensions in columns, got shape "
+                f"{tuple(value.shape)}; a single demonstration is passed in a list, [{what}]"
+            )
+        if value.shape[1] != values[0].shape[1]:
+            raise InvalidDemonstrationsError(
+                f"{what} of demonstration {i} has to have the {values[0].shape[1]} columns of demonstration 0, got "
+                f"{value.shape[1]}"
+            )
+    dtype = functools.reduce(torch.promote_types, [value.dtype for value in values])
+    return [value.to(values[0].device, dtype) for value in values]
+
+
+def matching(what: str, arrays: Sequence[Array] | Tensor, positions: list[Tensor]) -> list[Tensor]:
+    """As `tensors`, with as many rows as there are positions."""
+    if len(arrays) != len(positions):
+        raise InvalidDemonstrationsError(
+            f"{what} has to be one array for each of the {len(positions)} demonstrations, got {len(arrays)}"
+        )
+    values = [value.to(positions[0]) for value in tensors(what, arrays)]
+    for i, (x, value) in enumerate(zip(positions, values, strict=True)):
+        if len(value) != len(x):
+            raise InvalidDemonstrationsError(
+                f"demonstration {i}: {what} has to have the {len(x)} rows of x, got shape {tuple(value.shape)}; "
+                "give one row per position"
+            )
+    return values
+
+
+def check_labels(dim: int, names: Sequence[str], units: Sequence[str]) -> None:
+    """Refuse names and units that are not one per dimension, and names that are given twice."""
+    for what, labels in (("names", names), ("units", units)):
+        if len(labels) != dim:
+            raise InvalidArgumentError(f"{what} has to be one for each of the {dim} dimensions, got {labels}")
+    if len(set(names)) < dim:
+        raise InvalidArgumentError(f"names has to be a different one for each dimension, got {names}")
+
+
+def check_finite(values: list[Tensor], columns: Sequence[str]) -> None:
+    """Refuse values `(T, C)` that are not finite, with row and column of the first."""
+    for i, value in enumerate(values):
+        bad = (~value.isfinite()).nonzero()
+        if len(bad):
+            row, column = bad[0].tolist()
+            raise InvalidDemonstrationsError(
+                f"demonstration {i}, row {row} (counted from 0), column {columns[column]!r}: "
+                f"all values have to be finite, got {value[row, column].item()}; remove the row or fill it in"
+            )
+
+
+def check_count(name: str, value: int, minimum: int) -> None:
+    """Refuse what is no integer of at least `minimum`."""
+    try:
+        fits = operator.index(value) >= minimum
+    except TypeError:
+        fits = False
+    if not fits:
+        raise InvalidArgumentError(f"{name} has to be an integer of at least {minimum}, got {value!r}")
+
+
+def check_positive(name: str, value: float) -> None:
+    """Refuse what is not positive and finite."""
+    if not 0 < value < math.inf:
+        raise InvalidArgumentError(f"{name} has to be positive and finite, got {value!r}")
+
+
+def vector(name: str, value: Array) -> Tensor:
+    """A finite (C,) tensor, of one number too."""
+    vector = torch.atleast_1d(tensor(name, value))
+    if vector.ndim != 1 or not len(vector) or not vector.isfinite().all():
+        raise InvalidArgumentError(f"{name} has to be one row of finite numbers, got {value!r}")
+    return vector
+
+
+def per_demonstration(
+    name: str, value: float | Sequence[float] | np.ndarray, n: int, error: type[Exception] = InvalidArgumentError
+) -> list[float]:
+    """One number for each of `n` demonstrations, from one for all or one each."""
+    try:
+        steps = np.asarray(value, dtype=float).ravel().tolist()
+    except (TypeError, ValueError):
+        raise error(f"{name} has to be a number [s], or one for each demonstration, got {value!r}") from None
+    if len(steps) not in (1, n):
+        raise error(
+            f"{name} has to be one value for all or one for each of the {n} demonstrations, got {len(steps)} values"
+        )
+    return steps * n if len(steps) == 1 else steps
