@@ -128,7 +128,9 @@ def fit_stable(
     P = None if condition == "none" else torch.eye(D, dtype=torch.float64).repeat(batch, 1, 1)
     if condition == "p-qlf":
         P = _initial_metric(samples)
-    model = TrainableMixture(start, _regress(start, samples), margin, P, learn_metric=condition == "p-qlf").float()
+    model = TrainableMixture(
+        start, _regress(start, samples), P, margin=margin, learn_metric=condition == "p-qlf"
+    ).float()
     x, v, weight = samples.x.float(), samples.v.float(), samples.weight.float()
     width = spread * torch.tanh(x.norm(dim=-1, keepdim=True) / TAPER)
     generator = torch.Generator().manual_seed(0)

@@ -98,7 +98,7 @@ def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:
     return torch.linalg.eigvalsh(_symmetric(_seen_by(P, A)))[..., -1]
 
 
-def stable_matrices(factor: Tensor, skew: Tensor, margin: float = 0.0, P: Tensor | None = None) -> Tensor:
+def stable_matrices(factor: Tensor, skew: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -> Tensor:
     r"""Slopes in the set from any tensors, A = P⁻¹ (−L Lᵀ + W − Wᵀ) − margin I.
 
     Since P A + Aᵀ P = −2 L Lᵀ − 2 margin P, this is the whole set: `stable_factors` is the inverse.
@@ -106,8 +106,8 @@ def stable_matrices(factor: Tensor, skew: Tensor, margin: float = 0.0, P: Tensor
     Args:
         factor: `(..., D, D)` L.
         skew: `(..., D, D)` W.
-        margin: the rate of convergence [1/s].
         P: `(..., D, D)`; None for the identity.
+        margin: the rate of convergence [1/s].
 
     Returns:
         `(..., D, D)`.
@@ -116,7 +116,7 @@ def stable_matrices(factor: Tensor, skew: Tensor, margin: float = 0.0, P: Tensor
     return (M if P is None else torch.linalg.solve(P, M)) - margin * _identity_like(factor)
 
 
-def stable_factors(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def stable_factors(A: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -> tuple[Tensor, Tensor]:
     """Factor (lower triangular) and skew (strictly upper) of slopes that lie in the set: `stable_matrices` inverted.
 
     Raises:
@@ -128,20 +128,20 @@ def stable_factors(A: Tensor, margin: float = 0.0, P: Tensor | None = None) -> t
     if info.any():
         raise InvalidArgumentError(
             f"{int((info != 0).sum())} of {info.numel()} slopes do not converge with a rate above {margin:g}; move them "
-            "into the set with project(A, margin, P), with a larger margin there than here"
+            "into the set with project(A, P, margin=...), with a larger margin there than here"
         )
     return factor.contiguous(), ((M - M.mT) / 2).triu(1)
 
 
-def project(A: Tensor, margin: float | Tensor = 0.0, P: Tensor | None = None) -> Tensor:
+def project(A: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0) -> Tensor:
     """The slopes of the set nearest to A, in the Frobenius norm of C A C⁻¹ with P = CᵀC; A itself if it is in the set.
 
     The eigenvalues of the symmetric part are lowered to −margin where they are above; the rest of A stays.
 
     Args:
         A: `(..., D, D)`.
-        margin: the rate of convergence that the result has at least, number or `(...)` [1/s].
         P: `(..., D, D)`; None for the identity.
+        margin: the rate of convergence that the result has at least, number or `(...)` [1/s].
     """
     values, vectors = torch.linalg.eigh(_symmetric(_seen_by(P, A)))
     margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device).unsqueeze(-1)
@@ -152,7 +152,7 @@ def project(A: Tensor, margin: float | Tensor = 0.0, P: Tensor | None = None) ->
     return A - excess
 
 
-def constrain(policy: Policy, goal: Tensor, margin: float, P: Tensor | None = None) -> Policy:
+def constrain(policy: Policy, goal: Tensor, P: Tensor | None = None, *, margin: float) -> Policy:
     """Let only free tensors of a policy be learned, from which its `A` and `b` follow as slopes and offsets of the set.
 
     Any optimizer, Adam or L-BFGS among them, then trains a policy that is stable at every step. `A` becomes
@@ -162,8 +162,8 @@ def constrain(policy: Policy, goal: Tensor, margin: float, P: Tensor | None = No
     Args:
         policy: a `GMRPolicy`; changed in place. Slopes outside the set are moved into it (`project`), offsets tied to the goal.
         goal: `(D,)` or `(*batch, D)`, the goal x*.
-        margin: the rate of convergence that every policy keeps [1/s], above zero.
         P: `(D, D)` or `(*batch, D, D)`; None for the identity.
+        margin: the rate of convergence that every policy keeps [1/s], above zero.
 
     Returns:
         `policy`.
@@ -188,7 +188,7 @@ def constrain(policy: Policy, goal: Tensor, margin: float, P: Tensor | None = No
     certificate(policy, goal, P)  # type: ignore[arg-type]  # for its checks
     batch, D = A.shape[:-3], A.shape[-1]
     P = None if P is None else P.to(A).expand(*batch, D, D).clone()
-    parametrize.register_parametrization(policy, "A", _Slopes(margin, P))
+    parametrize.register_parametrization(policy, "A", _Slopes(P, margin))
     parametrize.register_parametrization(policy, "b", _Offsets(policy, goal.to(A).expand(*batch, D).clone()))
     frozen = [policy.parametrizations.b.original]  # type: ignore[union-attr]
     frozen += [] if P is None else [policy.parametrizations.A.original2]  # type: ignore[union-attr]
@@ -202,19 +202,19 @@ class _Slopes(nn.Module):
 
     SLACK = 1e-3  # relative: a policy on the boundary has no factor
 
-    def __init__(self, margin: float, P: Tensor | None) -> None:
+    def __init__(self, P: Tensor | None, margin: float) -> None:
         super().__init__()
         self.margin = margin
         self._start = P
 
     def forward(self, factor: Tensor, skew: Tensor, P: Tensor | None = None) -> Tensor:
-        return stable_matrices(factor, skew, self.margin, None if P is None else P.unsqueeze(-3))
+        return stable_matrices(factor, skew, None if P is None else P.unsqueeze(-3), margin=self.margin)
 
     def right_inverse(self, A: Tensor) -> tuple[Tensor, ...]:
         P = self._start
         metric = None if P is None else P.unsqueeze(-3)
-        inside = project(A, self.margin * (1 + self.SLACK), metric)
-        return (*stable_factors(inside, self.margin, metric), *([] if P is None else [P]))
+        inside = project(A, metric, margin=self.margin * (1 + self.SLACK))
+        return (*stable_factors(inside, metric, margin=self.margin), *([] if P is None else [P]))
 
 
 class _Offsets(nn.Module):

@@ -23,8 +23,8 @@ class TrainableMixture(nn.Module):
         start: B joint mixtures of [x, v]; the gating starts as its marginal, the noise of the velocity as its
             conditional covariance. Components of prior zero are padding.
         A: `(B, K, D, D)` slopes to start from; with P they are moved into the stable set.
-        margin: the rate of convergence that every system keeps.
         P: `(B, D, D)` of the condition, of trace D, or None for no condition.
+        margin: the rate of convergence that every system keeps.
         learn_metric: whether P is learned too.
         floor: added to the variance of positions and velocities.
     """
@@ -36,8 +36,9 @@ class TrainableMixture(nn.Module):
         self,
         start: GaussianMixture,
         A: Tensor,
+        P: Tensor | None = None,
+        *,
         margin: float,
-        P: Tensor | None,
         learn_metric: bool = False,
         floor: float = 1e-3,
     ) -> None:
@@ -55,8 +56,8 @@ class TrainableMixture(nn.Module):
         if P is None:
             self.slopes = nn.Parameter(A.clone())
             return
-        inside = project(A, margin + SLACK, P.unsqueeze(-3))
-        factor, skew = stable_factors(inside, margin, P.unsqueeze(-3))
+        inside = project(A, P.unsqueeze(-3), margin=margin + SLACK)
+        factor, skew = stable_factors(inside, P.unsqueeze(-3), margin=margin)
         self.factor, self.skew = nn.Parameter(factor), nn.Parameter(skew)
         if learn_metric:
             self.metric = nn.Parameter(_log_diagonal(torch.linalg.cholesky(P)))
@@ -75,7 +76,7 @@ class TrainableMixture(nn.Module):
         """`(B, K, D, D)` slopes."""
         if (P := self.P) is None:
             return self.slopes
-        return stable_matrices(self.factor, self.skew, self.margin, P.unsqueeze(-3))
+        return stable_matrices(self.factor, self.skew, P.unsqueeze(-3), margin=self.margin)
 
     @property
     def priors(self) -> Tensor:

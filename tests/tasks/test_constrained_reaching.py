@@ -205,7 +205,10 @@ def swept(task):
     with torch.no_grad():
         x = task.rollout(task.policy()).x
     offset = std[..., 0] * x.square().sum(-1).mean().sqrt()
-    explorations = {"stable": lambda p: Stable(p, std, task.goal), "free": lambda p: Gaussian([std, offset])}
+    explorations = {
+        "stable": lambda p: Stable(p, Gaussian([std, 0.0]), task.goal),
+        "free": lambda p: Gaussian([std, offset]),
+    }
     return {name: learn(task, explore, (len(LEVELS), RUNS)) for name, explore in explorations.items()}
 
 

@@ -58,7 +58,7 @@ def policy_of(A, goal, means=None):
 def test_any_tensors_give_slopes_in_the_set(case, margin, weighted):
     normals, K, D = case
     P = metric(normals, D) if weighted else torch.eye(D, dtype=torch.float64)
-    A = stable_matrices(normals(3, K, D, D), normals(3, K, D, D), margin, P if weighted else None)
+    A = stable_matrices(normals(3, K, D, D), normals(3, K, D, D), P if weighted else None, margin=margin)
     condition = P @ A + A.mT @ P + 2 * margin * P  # ⪯ 0 up to round-off
     tolerance = 1e-12 * (P @ A).abs().amax((-2, -1)) + 1e-12
     assert (torch.linalg.eigvalsh(condition)[..., -1] <= tolerance).all()
@@ -69,9 +69,9 @@ def test_any_tensors_give_slopes_in_the_set(case, margin, weighted):
 def test_projection_leaves_slopes_in_the_set_alone_and_moves_others_onto_its_boundary(case, margin):
     normals, K, D = case
     P, A = metric(normals, D), normals(K, D, D)
-    inside = stable_matrices(normals(K, D, D), normals(K, D, D), 1.01 * margin, P)
-    assert torch.equal(project(inside, margin, P), inside)
-    moved, rates = project(A, margin, P), largest_eigenvalue(A, P)
+    inside = stable_matrices(normals(K, D, D), normals(K, D, D), P, margin=1.01 * margin)
+    assert torch.equal(project(inside, P, margin=margin), inside)
+    moved, rates = project(A, P, margin=margin), largest_eigenvalue(A, P)
     tolerance = 1e-9 * (1 + A.abs().max())
     assert (largest_eigenvalue(moved, P) <= -margin + tolerance).all()
     outside = rates > -margin
@@ -85,8 +85,8 @@ def test_no_slopes_of_the_set_are_nearer_than_the_projection(randn):
     P = metric(randn, D)
     C = torch.linalg.cholesky(P).mT
     A = randn(20, D, D)
-    nearest = project(A, margin, P)
-    member = stable_matrices(randn(500, 1, D, D), randn(500, 1, D, D), margin, P)
+    nearest = project(A, P, margin=margin)
+    member = stable_matrices(randn(500, 1, D, D), randn(500, 1, D, D), P, margin=margin)
     away, onward = (C @ M @ torch.linalg.inv(C) for M in (A - nearest, member - nearest))
     assert ((away * onward).sum((-2, -1)) <= 1e-10).all()
 
@@ -96,15 +96,17 @@ def test_no_slopes_of_the_set_are_nearer_than_the_projection(randn):
 def test_factors_are_the_inverse_of_the_parametrisation(case, margin):
     normals, K, D = case
     P = metric(normals, D)
-    A = project(normals(K, D, D), 1.1 * margin, P)
+    A = project(normals(K, D, D), P, margin=1.1 * margin)
     scale = float(A.abs().max())
-    assert_close(stable_matrices(*stable_factors(A, margin, P), margin, P), A, rtol=1e-8, atol=1e-9 * scale)
+    assert_close(
+        stable_matrices(*stable_factors(A, P, margin=margin), P, margin=margin), A, rtol=1e-8, atol=1e-9 * scale
+    )
 
 
 def test_slopes_outside_have_no_factors(randn):
     A = torch.stack([-torch.eye(2), torch.eye(2)]).double()
     with pytest.raises(InvalidArgumentError, match=r"1 of 2 slopes do not converge with a rate above 0.1; .* project"):
-        stable_factors(A, 0.1)
+        stable_factors(A, margin=0.1)
 
 
 @settings(max_examples=50, deadline=None)
@@ -128,7 +130,7 @@ def test_the_eigenvalue_differentiates(randn):
 def test_the_lyapunov_function_falls_along_every_motion_and_as_fast_as_the_margin_says(randn, weighted):
     D, K, margin, dt = 3, 5, 0.5, 1e-3
     P, goal = metric(randn, D) if weighted else None, randn(D)
-    A = stable_matrices(randn(8, K, D, D), randn(8, K, D, D), margin, P)
+    A = stable_matrices(randn(8, K, D, D), randn(8, K, D, D), P, margin=margin)
     policy = policy_of(A, goal, means=randn(K, D))
     proof = policy.certificate(goal, P)
     assert proof.stable.all()
@@ -155,7 +157,7 @@ def test_a_certificate_names_the_rate_and_the_component_that_fails(randn):
 
 def test_offsets_that_are_not_tied_to_the_goal_fail(randn):
     goal = randn(2)
-    policy = policy_of(stable_matrices(randn(3, 2, 2), randn(3, 2, 2), 0.1), goal)
+    policy = policy_of(stable_matrices(randn(3, 2, 2), randn(3, 2, 2), margin=0.1), goal)
     assert policy.certificate(goal).stable
     with torch.no_grad():
         policy.b[1] += torch.tensor([0.3, 0.4], dtype=torch.float64)
@@ -167,7 +169,7 @@ def test_offsets_that_are_not_tied_to_the_goal_fail(randn):
 
 def test_a_batch_of_certificates_equals_single_ones(randn):
     goal, P = randn(4, 3), metric(randn, 3, batch=(4,))
-    A = stable_matrices(randn(4, 5, 3, 3), randn(4, 5, 3, 3), 0.1, P.unsqueeze(1))
+    A = stable_matrices(randn(4, 5, 3, 3), randn(4, 5, 3, 3), P.unsqueeze(1), margin=0.1)
     A[2] = randn(5, 3, 3)
     policy = policy_of(A, goal)
     together = certificate(policy, goal, P)
@@ -181,7 +183,7 @@ def test_a_batch_of_certificates_equals_single_ones(randn):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_stable_policy_is_certified_in_its_own_precision_and_dtype(randn, dtype):
     goal = 100 * randn(2)
-    policy = policy_of(stable_matrices(randn(6, 2, 2), randn(6, 2, 2), 0.1), goal)
+    policy = policy_of(stable_matrices(randn(6, 2, 2), randn(6, 2, 2), margin=0.1), goal)
     proof = policy_of(policy.A.detach().to(dtype).double(), goal).to(dtype).certificate(goal)
     assert proof.stable
     assert proof.eigenvalues.dtype == dtype
@@ -216,7 +218,7 @@ def constrained(random_policy, randn):
 
     def make(batch=(), weighted=True, margin=0.1):
         goal, P = randn(2), metric(randn, 2, batch) if weighted else None
-        return constrain(random_policy(batch=batch), goal, margin, P), goal, P
+        return constrain(random_policy(batch=batch), goal, P, margin=margin), goal, P
 
     return make
 
@@ -233,7 +235,7 @@ def test_constraining_projects_and_ties_and_keeps_what_is_stable_already(constra
     for name in ("b", "A"):
         parametrize.remove_parametrizations(policy, name)
     assert_close((policy.A.data, policy.b.data), (A, b))
-    again = constrain(copy.deepcopy(policy), goal, 0.05, P)
+    again = constrain(copy.deepcopy(policy), goal, P, margin=0.05)
     assert_close((again.A.data, again.b.data), (A, b), rtol=1e-9, atol=1e-9)
 
 
@@ -300,4 +302,4 @@ def test_a_constrained_policy_copies_indexes_expands_and_comes_back_from_its_sta
 @pytest.mark.parametrize("margin", [0.0, -1.0, float("inf"), float("nan")])
 def test_a_constrained_policy_needs_a_margin(random_policy, margin):
     with pytest.raises(InvalidArgumentError, match=f"margin has to be above 0 and finite, got {margin}"):
-        constrain(random_policy(), torch.zeros(2), margin)
+        constrain(random_policy(), torch.zeros(2), margin=margin)

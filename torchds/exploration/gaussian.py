@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -9,10 +10,13 @@ from torch import Tensor, nn
 
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
+from torchds.exploration.homogeneous import chi_mean
+from torchds.exploration.shares import motion_size
+from torchds.policy import GMRPolicy
 
 
 class Gaussian(Exploration):
-    """ε = std · z, for the parameters of any module.
+    """Independent noise of a fixed size, ε = std · z with z ~ N(0, I), for the parameters of any module.
 
     Args:
         std: one number for all parameters, or one number or tensor for each parameter of the group, which has to
@@ -29,6 +33,55 @@ class Gaussian(Exploration):
             if not entries.isfinite().all() or (entries < 0).any():
                 raise InvalidArgumentError(f"std has to be finite and ≥ 0, got {value}")
         self.std = std
+
+    @classmethod
+    def relative(
+        cls,
+        policy: GMRPolicy,
+        x0: Tensor,
+        n_steps: int,
+        dt: float,
+        speed: float = 0.12,
+        *,
+        stiffness: float = 0.2,
+        goal: Tensor | None = None,
+    ) -> Gaussian:
+        r"""One standard deviation for all entries of A and one for all of b, in shares of the motion that `policy` makes now.
+
+        With σ = speed · mean |v| / E|z|, z a standard normal of O dimensions, and r the root mean square of |x|,
+
+        .. math:: σ_A = σ / (\sqrt{2}\, r), \qquad σ_b = σ / \sqrt{2},
+
+        so that the velocity noise of one expert has the mean norm `speed` times that of the motion, half of its variance
+        from A and half from b; stiffness rows alike. With a goal, r is measured from it and A has all of it, σ_A = σ/r:
+        that is the raw noise of `Stable`, which ties b to A.
+
+        Args:
+            policy: whose parameters are explored, all of them in one group and in their order.
+            x0: `(*points, D)` the starts of the motion.
+            n_steps: T.
+            dt: time step [s].
+            speed: the velocity noise as a share of the mean speed.
+            stiffness: the noise of the stiffness as a share of the mean stiffness.
+            goal: `(D,)` x*, where b is tied to it.
+
+        Raises:
+            InvalidArgumentError: see `Gaussian`; also for a policy that does not move.
+        """
+        size = motion_size(policy, x0, n_steps, dt, goal)
+        if not size.speed > 0:
+            raise InvalidArgumentError(
+                f"the motion has to have a speed to explore a share of it, got {size.speed}; use Gaussian(std)"
+            )
+        move, stiffen = speed * size.speed / chi_mean(policy.output_dim), stiffness * size.stiffness / chi_mean(1)
+        slope, offset = (1.0, 0.0) if goal is not None else (math.sqrt(0.5), math.sqrt(0.5))
+        std = {
+            "A": slope * move / size.distance,
+            "b": offset * move,
+            "stiffness_A": slope * stiffen / size.distance,
+            "stiffness_b": offset * stiffen,
+        }
+        return cls([std[name] for name, _ in policy.named_parameters()])
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse a number or shapes of parameters that `std` does not fit."""

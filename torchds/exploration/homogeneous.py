@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
+from torchds.exploration.shares import motion_size
 from torchds.policy import GMRPolicy
 
 Rule = Literal["moment", "centre", "printed"]
@@ -74,6 +75,37 @@ class Homogeneous(Exploration):
         self.rule = rule
         self.direction = direction
         self.mean_stiffness = mean_stiffness
+
+    @classmethod
+    def relative(
+        cls,
+        policy: GMRPolicy,
+        x0: Tensor,
+        n_steps: int,
+        dt: float,
+        speed: float = 0.12,
+        *,
+        stiffness: float = 0.2,
+    ) -> Homogeneous:
+        """The same in shares of the motion that `policy` makes now, so that no unit of a task decides about its noise.
+
+        Args:
+            policy: whose parameters are explored.
+            x0: `(*points, D)` the starts of the motion.
+            n_steps: T.
+            dt: time step [s].
+            speed: `mean_speed` as a share of the mean speed.
+            stiffness: `mean_stiffness` as a share of the mean stiffness.
+
+        Raises:
+            InvalidArgumentError: see `Homogeneous`; a policy that does not move has no shares.
+        """
+        size = motion_size(policy, x0, n_steps, dt)
+        if not size.speed > 0:
+            raise InvalidArgumentError(
+                f"the motion has to have a speed to explore a share of it, got {size.speed}; use Homogeneous(mean_speed=...)"
+            )
+        return cls(policy, speed * size.speed, mean_stiffness=stiffness * size.stiffness)
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse parameters of another module."""

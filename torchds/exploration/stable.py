@@ -35,8 +35,8 @@ class Stable(Exploration):
 
     Args:
         policy: a stable one, with as many velocities as inputs. Stiffness parameters in the group get no noise.
-        std: standard deviation of the raw noise of A [1/s], a number or a tensor that broadcasts with A; or another
-            exploration that shapes it, such as `TrajectorySpace(..., goal=goal)`, which explores along the motion.
+        raw: shapes the raw noise E of A [1/s]; of what it gives to other parameters nothing is used. `Gaussian(0.5)` for
+            one standard deviation, `TrajectorySpace(..., goal=goal)` to explore along the motion.
         goal: `(D,)` or `(*batch, D)` x*.
         P: `(D, D)` or `(*batch, D, D)`; None for the identity.
         eta: how the factor η of shrink="all" is found.
@@ -51,7 +51,8 @@ class Stable(Exploration):
               the eigenvalues of the symmetric part that are above −margin lowered to it (`stability.project`). Noise that
               is large against the room has a mean then, into the set.
             * "none": nothing. b stays tied to the goal, stability is not kept.
-        margin: that the samples keep from the boundary [1/s], or what the policy has of it where that is less.
+        margin: rate of convergence that the samples keep [1/s]. A component whose own rate is lower keeps the rate that
+            it has.
 
     Raises:
         InvalidArgumentError: a number out of range, an unknown name, shapes that do not fit, a P that is not positive
@@ -61,7 +62,7 @@ class Stable(Exploration):
         >>> import torch, torchds
         >>> A = torch.tensor([[[-1.0, 2.0], [-2.0, -0.1]]])
         >>> policy = torchds.GMRPolicy(torch.ones(1), torch.zeros(1, 2), torch.eye(2)[None], A, torch.zeros(1, 2))
-        >>> noise = torchds.exploration.Stable(policy, std=0.5, goal=torch.zeros(2))
+        >>> noise = torchds.exploration.Stable(policy, torchds.exploration.Gaussian(0.5), goal=torch.zeros(2))
         >>> normals = [torch.randn(1000, *p.shape) for p in policy.parameters()]
         >>> tried = policy.A + noise(list(policy.parameters()), normals)[0]
         >>> bool((torch.linalg.eigvalsh(tried + tried.mT) < 0).all())
@@ -71,7 +72,7 @@ class Stable(Exploration):
     def __init__(
         self,
         policy: GMRPolicy,
-        std: float | Tensor | Exploration,
+        raw: Exploration,
         goal: Tensor,
         P: Tensor | None = None,
         *,
@@ -84,13 +85,11 @@ class Stable(Exploration):
                 raise InvalidArgumentError(f"{name} has to be one of {', '.join(map(repr, allowed))}, got {value!r}")
         if not 0 < margin < float("inf"):
             raise InvalidArgumentError(f"margin has to be finite and positive, got {margin}")
-        if not isinstance(std, Exploration):
-            size = torch.as_tensor(std)
-            if not size.isfinite().all() or (size < 0).any():
-                raise InvalidArgumentError(f"std has to be finite and ≥ 0, got {std}")
+        if not isinstance(raw, Exploration):
+            raise InvalidArgumentError(f"raw has to be an exploration, got {raw!r}; use Gaussian({raw!r}) for a number")
         policy.certificate(goal, P)  # refuses shapes and a P that do not fit
         self.policy = policy
-        self.std = std
+        self.raw = raw
         self.goal = goal
         self.P = P
         self.eta = eta
@@ -102,8 +101,7 @@ class Stable(Exploration):
         names = name_parameters(self.policy, parameters, type(self).__name__)
         if missing := {"A", "b"} - set(names):
             raise InvalidArgumentError(f"Stable ties b to A; {sorted(missing)} of the policy is not in the group")
-        if isinstance(self.std, Exploration):
-            self.std.check(parameters)
+        self.raw.check(parameters)
         certificate = self.policy.certificate(self.goal, self.P)
         size = self.policy.b.detach().abs().amax() + self.policy.A.detach().abs().amax() * self.goal.abs().amax()
         if (apart := certificate.offset.amax()) > 1e3 * torch.finfo(size.dtype).eps * size:
@@ -120,20 +118,16 @@ class Stable(Exploration):
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """ε_A, ε_b, and zero for all other parameters."""
         names = name_parameters(self.policy, parameters, type(self).__name__)
-        drawn = dict(zip(names, normals, strict=True))
-        if isinstance(self.std, Exploration):
-            raw = dict(zip(names, self.std(parameters, normals), strict=True))["A"]
-        else:
-            raw = drawn["A"] * torch.as_tensor(self.std, dtype=drawn["A"].dtype, device=drawn["A"].device)
+        raw = self.raw(parameters, normals)[names.index("A")]
         A, b = self.policy.A.detach(), self.policy.b.detach()
         noise = {"A": self.stabilise(raw)}
         # Not only −ε_A x*: round-off of b + A x* would add up over many updates, and here it is taken back.
         noise["b"] = self._tied(noise["A"]) + (self._tied(A) - b)
-        return [noise[name] if name in noise else torch.zeros_like(drawn[name]) for name in names]
+        return [noise[name] if name in noise else torch.zeros_like(z) for name, z in zip(names, normals, strict=True)]
 
     def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
         """That of the exploration behind the raw noise."""
-        return self.std.measure(parameters, changes) if isinstance(self.std, Exploration) else list(changes)
+        return self.raw.measure(parameters, changes)
 
     @torch.no_grad()
     def stabilise(self, raw: Tensor) -> Tensor:
@@ -145,8 +139,8 @@ class Stable(Exploration):
         margin = ((1 - SLACK) * -largest_eigenvalue(A, P)).clamp(max=self.margin)  # (*batch, K)
         if self.shrink == "direction":
             tried = A + raw
-            return raw + (project(tried, margin, P) - tried)
-        eta = self.shrinkage(A, raw, P, margin)
+            return raw + (project(tried, P, margin=margin) - tried)
+        eta = self.shrinkage(A, raw, P, margin=margin)
         if self.eta == "stepped":
             eta = (10 * eta).floor() / 10
         turned = raw.mT if P is None else torch.linalg.solve(P, raw.mT @ P)
@@ -158,7 +152,7 @@ class Stable(Exploration):
 
     @staticmethod
     @torch.no_grad()
-    def shrinkage(A: Tensor, S_noise: Tensor, P: Tensor | None = None, margin: float | Tensor = 0.0) -> Tensor:
+    def shrinkage(A: Tensor, S_noise: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0) -> Tensor:
         r"""The largest η in [0, 1] for which A + η S_noise is stable with the margin, in closed form.
 
         With W = −½ (P A + Aᵀ P) − margin P ≻ 0 and S = ½ (P S_noise + S_noiseᵀ P),
@@ -186,12 +180,11 @@ class Stable(Exploration):
 
     def state_dict(self) -> dict[str, Any]:
         """That of the exploration behind the raw noise."""
-        return {"raw": self.std.state_dict()} if isinstance(self.std, Exploration) else {}
+        return {"raw": self.raw.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Take over what `state_dict` gave."""
-        if isinstance(self.std, Exploration):
-            self.std.load_state_dict(state["raw"])
+        self.raw.load_state_dict(state["raw"])
 
     def _tied(self, A: Tensor) -> Tensor:
         return -(A @ self.goal.to(A)[..., None, :, None]).squeeze(-1)

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous, chi_mean
+from torchds.exploration.shares import motion_size
 from torchds.policy import GMRPolicy
 from torchds.rollouts import rollout
 from torchds.sensitivity import sensitivity, stiffness_sensitivity
@@ -118,7 +119,6 @@ class TrajectorySpace(Exploration):
         self._felt: Tensor | None = None
 
     @classmethod
-    @torch.no_grad()
     def relative(
         cls,
         policy: GMRPolicy,
@@ -147,17 +147,11 @@ class TrajectorySpace(Exploration):
         Raises:
             InvalidArgumentError: see `TrajectorySpace`; also for a policy that does not move.
         """
-        D = policy.input_dim
-        path = rollout(policy, x0, n_steps, dt)
-        variances = (
-            (dt * path.v).cumsum(-2).var(-2).reshape(-1, policy.output_dim).mean(0)
-        )  # (O,) of the places, not of the starts
-        extent = torch.cat([variances[:D].sum().expand(D), variances[D:]]).sqrt()
-        sizes: dict[str, Any] = {"mean_speed": speed * float(torch.linalg.vector_norm(path.v, dim=-1).mean())}
+        size = motion_size(policy, x0, n_steps, dt)
+        sizes: dict[str, Any] = {"mean_speed": speed * size.speed}
         if policy.stiffness_dim:
-            typical = stiffness * float(policy.stiffness(path.inputs).abs().mean())
-            sizes |= {"mean_stiffness": typical, "stiffness_spread": typical}
-        return cls(policy, x0, n_steps, dt, spread * extent, **sizes, goal=goal)
+            sizes |= {"mean_stiffness": stiffness * size.stiffness, "stiffness_spread": stiffness * size.stiffness}
+        return cls(policy, x0, n_steps, dt, spread * size.extent, **sizes, goal=goal)
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
         """Refuse a part of the policy's parameters, and those of others."""

@@ -24,7 +24,7 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
         return Gaussian(std)
     goal = task.scene().goal
     if options.exploration == "stable":
-        return Stable(policy, std, goal, task.P, shrink=options.shrink)
+        return Stable(policy, Gaussian(std), goal, task.P, shrink=options.shrink)
     if along_motion(options):
         if learn != "both":
             raise InvalidArgumentError(f"--learn {learn} goes with --exploration homogeneous, not trajectory")

@@ -95,7 +95,7 @@ def test_others_measure_parameters_as_they_are_and_stable_noise_asks_what_is_beh
     )
     params, changes, goal = list(policy.parameters()), changes_of(policy, 3), torch.zeros(2, dtype=torch.float64)
     space = TrajectorySpace(policy, START, T, DT, 0.5, goal=goal)
-    for noise in (Gaussian(0.1), Stable(policy, 0.1, goal)):
+    for noise in (Gaussian(0.1), Stable(policy, Gaussian(0.1), goal)):
         assert all(map(torch.equal, noise.measure(params, changes), changes))
     assert all(map(torch.equal, Stable(policy, space, goal).measure(params, changes), space.measure(params, changes)))
 

@@ -13,7 +13,7 @@ from torch.testing import assert_close
 
 from torchds import GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
-from torchds.exploration import Homogeneous, Stable, TrajectorySpace
+from torchds.exploration import Gaussian, Homogeneous, Stable, TrajectorySpace
 from torchds.optim import PIBB, ExponentialDecay
 
 many = settings(max_examples=150, deadline=None)
@@ -78,7 +78,7 @@ CASES = {
 @given(shrink=st.sampled_from(["all", "direction"]), eta=st.sampled_from(["closed", "stepped"]), **CASES)
 def test_every_sample_is_stable_with_the_margin(seed, D, K, batch, metric, std, shrink, eta):
     policy, goal, P = make_case(seed, D, K, batch, metric)
-    noise = draw(Stable(policy, std, goal, P, eta=eta, shrink=shrink, margin=0.04), 20, seed)
+    noise = draw(Stable(policy, Gaussian(std), goal, P, eta=eta, shrink=shrink, margin=0.04), 20, seed)
     tried = policy.A.detach() + noise["A"]
     scale = tried.abs().amax() * (1.0 if P is None else torch.linalg.cond(P).amax())
     assert worst(tried, per_component(P)).max() <= -0.04 + 1e-13 * scale
@@ -90,7 +90,7 @@ def test_every_sample_is_stable_with_the_margin(seed, D, K, batch, metric, std, 
 def test_a_convex_combination_of_samples_is_stable(seed, D, K, batch, metric, std, shrink, weights_seed):
     """Eq. 28, for weights from equal to all on one sample."""
     policy, goal, P = make_case(seed, D, K, batch, metric)
-    noise = draw(Stable(policy, std, goal, P, shrink=shrink), 10, seed)["A"]
+    noise = draw(Stable(policy, Gaussian(std), goal, P, shrink=shrink), 10, seed)["A"]
     g = torch.Generator().manual_seed(weights_seed)
     weights = torch.softmax(10 ** (weights_seed % 4 - 1) * normal(g, 10, *batch), 0)
     updated = policy.A.detach() + (weights[..., None, None, None] * noise).sum(0)
@@ -102,7 +102,7 @@ def test_a_convex_combination_of_samples_is_stable(seed, D, K, batch, metric, st
 @pytest.mark.parametrize(("D", "metric"), [(2, False), (3, True), (7, True)])
 def test_no_update_leaves_the_set_even_where_instability_is_rewarded(elite, shrink, D, metric):
     policy, goal, P = make_case(D, D, 4, (5,), metric)
-    optim = PIBB(policy.parameters(), Stable(policy, 0.5, goal, P, shrink=shrink), n_rollouts=8, elite=elite)
+    optim = PIBB(policy.parameters(), Stable(policy, Gaussian(0.5), goal, P, shrink=shrink), n_rollouts=8, elite=elite)
     start = policy.A.detach().clone()
     for _ in range(60):
         optim.step(lambda: -policy.A.diagonal(dim1=-2, dim2=-1).sum((-1, -2)))
@@ -116,7 +116,7 @@ def test_no_update_leaves_the_set_even_where_instability_is_rewarded(elite, shri
 def test_a_goal_stays_a_fixed_point_over_many_updates():
     """Round-off of b + A x* is taken back at every update, so that it does not grow with their number."""
     policy, goal, _ = make_case(1, 3, 5, (4,))
-    optim = PIBB(policy.parameters(), Stable(policy, 0.3, goal), n_rollouts=5)
+    optim = PIBB(policy.parameters(), Stable(policy, Gaussian(0.3), goal), n_rollouts=5)
     apart = []
     for _ in range(1000):
         optim.step(lambda: (policy.A + torch.eye(3)).square().sum((-1, -2, -3)))
@@ -133,7 +133,7 @@ def test_the_closed_form_is_the_largest_eta(seed, D, K, batch, metric, std, marg
     """Against a generalised eigenvalue by scipy, and against bisection."""
     policy, _, P = make_case(seed, D, K, batch, metric)
     A, E = policy.A.detach(), std * normal(torch.Generator().manual_seed(seed), *policy.A.shape)
-    eta = Stable.shrinkage(A, E, per_component(P), margin)
+    eta = Stable.shrinkage(A, E, per_component(P), margin=margin)
     assert eta.shape == A.shape[:-2]
     lever = torch.eye(D, dtype=torch.float64).expand(*batch, D, D) if P is None else P
     for index in np.ndindex(*A.shape[:-2]):
@@ -170,7 +170,7 @@ def test_the_largest_step_puts_an_eigenvalue_on_the_boundary():
 def test_the_stepped_factor_is_the_first_that_passes_the_papers_loop(seed, D, K, batch, metric, std):
     policy, goal, P = make_case(seed, D, K, batch, metric)
     raw = std * normal(torch.Generator().manual_seed(seed), 4, *policy.A.shape)
-    closed, stepped = (Stable(policy, std, goal, P, eta=eta) for eta in ("closed", "stepped"))
+    closed, stepped = (Stable(policy, Gaussian(std), goal, P, eta=eta) for eta in ("closed", "stepped"))
     noise = stepped.stabilise(raw)
     A, Pk = policy.A.detach(), per_component(P)
     turned = raw.mT if P is None else torch.linalg.solve(Pk, raw.mT @ Pk)
@@ -182,7 +182,7 @@ def test_the_stepped_factor_is_the_first_that_passes_the_papers_loop(seed, D, K,
         passes = ~done & (torch.from_numpy(worst(A + candidate, Pk)) < -margin + 1e-9)
         expected[passes], done = candidate[passes], done | passes
     # The two may differ where the boundary lies within round-off of a step.
-    eta = Stable.shrinkage(A, raw, Pk, (1 - 1e-6) * margin)
+    eta = Stable.shrinkage(A, raw, Pk, margin=(1 - 1e-6) * margin)
     clear = ((10 * eta).round() - 10 * eta).abs() > 1e-4
     assert_close(noise[clear], expected[clear], rtol=1e-8, atol=1e-10)
     assert (
@@ -199,7 +199,9 @@ def test_shrinking_a_direction_gives_the_nearest_stable_slopes(seed, D, K, batch
     policy, goal, P = make_case(seed, D, K, batch, metric)
     raw = std * normal(torch.Generator().manual_seed(seed), 3, *policy.A.shape)
     A, Pk = policy.A.detach(), per_component(P)
-    noise = {shrink: Stable(policy, std, goal, P, shrink=shrink).stabilise(raw) for shrink in ("all", "direction")}
+    noise = {
+        shrink: Stable(policy, Gaussian(std), goal, P, shrink=shrink).stabilise(raw) for shrink in ("all", "direction")
+    }
     inside = torch.from_numpy(worst(A + raw, Pk)) < -1.01e-3
     assert torch.equal(noise["direction"][inside], raw[inside])
     assert torch.equal(noise["all"][inside], raw[inside])
@@ -217,7 +219,8 @@ def test_a_policy_on_the_boundary_is_starved_by_one_factor_and_explored_by_direc
     n, std = 4000, 0.03
     raw = std * normal(torch.Generator().manual_seed(0), n, 1, 2, 2)
     free = {
-        shrink: Stable(policy, std, goal, shrink=shrink, margin=1e-4).stabilise(raw) for shrink in ("all", "direction")
+        shrink: Stable(policy, Gaussian(std), goal, shrink=shrink, margin=1e-4).stabilise(raw)
+        for shrink in ("all", "direction")
     }
     starved = (free["all"][:, 0, 1, 1] / raw[:, 0, 1, 1]).abs() < 0.1
     assert starved.double().mean() > 0.35
@@ -235,14 +238,14 @@ def test_small_noise_is_raw_noise_and_no_noise_is_none(options, metric):
     g = torch.Generator().manual_seed(0)
     parameters = list(policy.parameters())
     normals = [1e-3 * normal(g, 50, *p.shape) for p in parameters]
-    raw = Stable(policy, 1.0, goal, P, **options)(parameters, normals)
+    raw = Stable(policy, Gaussian(1.0), goal, P, **options)(parameters, normals)
     assert torch.equal(raw[0], normals[0])
-    assert not any(e.any() for e in Stable(policy, 0.0, goal, P, **options)(parameters, normals))
+    assert not any(e.any() for e in Stable(policy, Gaussian(0.0), goal, P, **options)(parameters, normals))
 
 
 def test_without_shrinking_only_b_is_tied():
     policy, goal, _ = make_case(4, 2, 3)
-    noise = draw(Stable(policy, 5.0, goal, shrink="none"), 200)
+    noise = draw(Stable(policy, Gaussian(5.0), goal, shrink="none"), 200)
     assert worst(policy.A.detach() + noise["A"]).max() > 1.0
     assert noise["A"].std() == pytest.approx(5.0, rel=0.1)
     assert torch.equal(noise["b"], -(noise["A"] @ goal[:, None]).squeeze(-1))
@@ -251,7 +254,7 @@ def test_without_shrinking_only_b_is_tied():
 def test_antisymmetric_noise_is_never_shrunk():
     policy, goal, _ = make_case(5, 3, 4)
     raw = 50 * normal(torch.Generator().manual_seed(0), 6, *policy.A.shape)
-    kept = Stable(policy, 1.0, goal).stabilise(raw)
+    kept = Stable(policy, Gaussian(1.0), goal).stabilise(raw)
     assert_close(kept - kept.mT, raw - raw.mT, rtol=0, atol=1e-12)
 
 
@@ -260,15 +263,15 @@ def test_antisymmetric_noise_is_never_shrunk():
 def test_a_batch_equals_its_policies_one_by_one(shrink, metric):
     policy, goal, P = make_case(6, 3, 4, (5,), metric)
     raw = 2 * normal(torch.Generator().manual_seed(0), 7, *policy.A.shape)
-    together = Stable(policy, 1.0, goal, P, shrink=shrink).stabilise(raw)
+    together = Stable(policy, Gaussian(1.0), goal, P, shrink=shrink).stabilise(raw)
     for r in range(5):
-        alone = Stable(policy[r], 1.0, goal[r], None if P is None else P[r], shrink=shrink)
+        alone = Stable(policy[r], Gaussian(1.0), goal[r], None if P is None else P[r], shrink=shrink)
         assert_close(alone.stabilise(raw[:, r]), together[:, r], rtol=1e-9, atol=1e-11)
 
 
 def test_one_goal_and_one_metric_serve_a_batch():
     policy, goal, P = make_case(7, 2, 3, (), True)
-    noise = draw(Stable(policy.expand(4), 1.0, goal, P), 6)
+    noise = draw(Stable(policy.expand(4), Gaussian(1.0), goal, P), 6)
     assert noise["A"].shape == (6, 4, 3, 2, 2)
     assert worst(policy.A.detach() + noise["A"], P).max() < 0
 
@@ -278,7 +281,7 @@ def test_float32_stays_float32_and_stable():
     policy = policy.float()
     with torch.no_grad():
         policy.b.copy_(-(policy.A @ goal.float()).squeeze(-1))
-    noise = draw(Stable(policy, 2.0, goal.float(), P.float(), margin=0.02), 100)
+    noise = draw(Stable(policy, Gaussian(2.0), goal.float(), P.float(), margin=0.02), 100)
     assert noise["A"].dtype == noise["b"].dtype == torch.float32
     assert worst((policy.A.detach() + noise["A"]).double(), P).max() < -0.019
 
@@ -287,7 +290,7 @@ def test_stiffness_is_left_alone():
     policy, goal, _ = make_case(9, 2, 3)
     rows = torch.zeros(3, 1, 2, dtype=torch.float64), torch.full((3, 1), 20.0, dtype=torch.float64)
     policy = GMRPolicy(policy.priors, policy.means, policy.covariances, policy.A, policy.b, *rows)
-    noise = draw(Stable(policy, 0.1, goal), 5)
+    noise = draw(Stable(policy, Gaussian(0.1), goal), 5)
     assert noise["A"].all()
     assert not noise["stiffness_A"].any()
     assert not noise["stiffness_b"].any()
@@ -295,7 +298,7 @@ def test_stiffness_is_left_alone():
 
 def test_the_certificate_is_what_is_logged():
     policy, goal, P = make_case(10, 3, 4, (5,), True)
-    scalars = Stable(policy, 0.1, goal, P).scalars()
+    scalars = Stable(policy, Gaussian(0.1), goal, P).scalars()
     assert scalars == {
         "stability/largest_eigenvalue": pytest.approx(worst(policy.A, per_component(P)).max(), abs=1e-12)
     }
@@ -318,7 +321,7 @@ def test_along_the_motion_it_stays_stable_too(metric, shrink):
     noise = draw(exploration, 100)
     assert worst(policy.A.detach() + noise["A"], per_component(P)).max() < -0.99e-3
     assert torch.equal(noise["b"], -(noise["A"] @ goal[:, None]).squeeze(-1))
-    raw = draw(exploration.std, 100)
+    raw = draw(exploration.raw, 100)
     assert worst(policy.A.detach() + raw["A"], per_component(P)).max() > 0  # there was something to do
 
 
@@ -326,7 +329,7 @@ def test_the_covariance_of_tied_parameters_is_that_of_a_jacobian_with_respect_to
     """J_A by autograd through a roll-out whose b is −A x*."""
     policy, goal, _ = make_case(12, 2, 3)
     spread, widening, mean_speed = 0.2, 2.0, 0.4
-    space = along(policy, goal, spread=spread, widening=widening, mean_speed=mean_speed, damping=0.0).std
+    space = along(policy, goal, spread=spread, widening=widening, mean_speed=mean_speed, damping=0.0).raw
 
     def motion(a):
         moved = copy.deepcopy(policy)
@@ -375,8 +378,7 @@ def test_a_run_along_the_motion_continues_from_a_checkpoint_bit_for_bit(tmp_path
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"std": -1.0}, "std has to be finite and ≥ 0, got -1.0"),
-        ({"std": torch.tensor([0.1, math.nan])}, "std has to be finite"),
+        ({"raw": 0.5}, r"raw has to be an exploration, got 0.5; use Gaussian\(0.5\) for a number"),
         ({"eta": "open"}, "eta has to be one of 'closed', 'stepped', got 'open'"),
         ({"shrink": "some"}, "shrink has to be one of 'all', 'direction', 'none', got 'some'"),
         ({"margin": 0.0}, "margin has to be finite and positive, got 0.0"),
@@ -387,15 +389,15 @@ def test_a_run_along_the_motion_continues_from_a_checkpoint_bit_for_bit(tmp_path
 def test_arguments_out_of_range_are_refused(options, words):
     policy, goal, _ = make_case(0, 2, 3)
     with pytest.raises(InvalidArgumentError, match=words):
-        Stable(**{"policy": policy, "std": 0.1, "goal": goal, **options})
+        Stable(**{"policy": policy, "raw": Gaussian(0.1), "goal": goal, **options})
 
 
 def test_an_optimizer_refuses_what_cannot_be_kept_stable():
     policy, goal, _ = make_case(0, 2, 3)
     with pytest.raises(InvalidArgumentError, match=r"ties b to A; \['b'\] of the policy is not in the group"):
-        PIBB([policy.A], Stable(policy, 0.1, goal))
+        PIBB([policy.A], Stable(policy, Gaussian(0.1), goal))
     with pytest.raises(InvalidArgumentError, match=r"b differs from −A x\* by up to .*; give the goal of its fit"):
-        PIBB(policy.parameters(), Stable(policy, 0.1, goal + 1.0))
+        PIBB(policy.parameters(), Stable(policy, Gaussian(0.1), goal + 1.0))
     other = make_case(1, 2, 3)[0]
     with pytest.raises(InvalidArgumentError, match="Homogeneous explores"):
         PIBB(policy.parameters(), Stable(policy, Homogeneous(other), goal))
@@ -403,8 +405,8 @@ def test_an_optimizer_refuses_what_cannot_be_kept_stable():
         policy.A.add_(9 * torch.eye(2))
         policy.b.copy_(-(policy.A @ goal[:, None]).squeeze(-1))
     with pytest.raises(InvalidArgumentError, match=r"the policy is not stable: .* fit one with torchds.fit_stable"):
-        PIBB(policy.parameters(), Stable(policy, 0.1, goal))
-    PIBB(policy.parameters(), Stable(policy, 0.1, goal, shrink="none"))
+        PIBB(policy.parameters(), Stable(policy, Gaussian(0.1), goal))
+    PIBB(policy.parameters(), Stable(policy, Gaussian(0.1), goal, shrink="none"))
 
 
 def test_a_tied_space_needs_a_goal_of_the_inputs():

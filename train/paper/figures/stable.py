@@ -90,7 +90,8 @@ def explore(task: tasks.Task, policy: GMRPolicy, name: str, std: Tensor) -> Expl
     """The exploration of a variant, for the standard deviation `(runs,)` of each run of the batch."""
     goal = task.scene().goal
     if name in (STABLE, TIED, SCHEDULED):
-        return Stable(policy, std[:, None, None, None], goal, task.P, shrink="none" if name == TIED else "all")
+        raw = Gaussian([std[:, None, None, None], 0.0])
+        return Stable(policy, raw, goal, task.P, shrink="none" if name == TIED else "all")
     with torch.no_grad():
         initial = task.policy()
         x = task.rollout(initial).x
