@@ -22,6 +22,10 @@ class FileError(TorchdsError, ValueError):
     """A file is missing, cannot be read, or does not hold what was expected of it."""
 
 
+class DemonstrationWarning(UserWarning):
+    """Recorded data can be used, but look as if they were something else than they seem (`Demonstrations.check`)."""
+
+
 class DegenerateMixtureError(TorchdsError, ValueError):
     """A Gaussian mixture cannot be fitted to, or built from, what was given."""
 

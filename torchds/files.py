@@ -1,0 +1,263 @@
+"""Files that are whole or not there, and that are verified when they are read.
+
+A file is written beside its place under a name of its own, flushed to the disk, and moved there: readers see the old one or
+the new one. What is read back is compared with the digest that was written, since neither zip nor torch notices most
+damaged bits. Nothing that is read can run code, and what it claims to be is checked before memory is taken for it.
+
+Stability: experimental.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import math
+import os
+import pickle
+import secrets
+import struct
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchds.errors import FileError
+
+FORMAT = 1  # of the envelope below; a file of a later one is refused
+LARGEST = 2**31  # bytes that one archive may unpack to
+SEAL = "torchds"
+
+
+def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
+    """Call `write(stream)`, then move what it wrote into place: the old file stays until the new one is whole.
+
+    Args:
+        path: of the file; a link is replaced, not followed.
+        write: puts the content into an empty file that belongs to this call alone.
+
+    Raises:
+        FileError: the disk is full, read-only or gone; nothing has changed.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(6)}.part")
+    try:
+        handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                write(stream)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+        _flush_folder(path.parent)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {reason(error)}; what was there before is unchanged") from error
+
+
+def reason(error: BaseException) -> str:
+    """What the system says about a file, without the path."""
+    return getattr(error, "strerror", None) or str(error).split("\n")[0] or type(error).__name__
+
+
+def _flush_folder(path: Path) -> None:
+    """Have the system write the entries of a folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+# ------------------------------------------------------------------ tensors and plain values
+
+
+def save(path: str | Path, kind: str, content: Mapping[str, Any]) -> None:
+    """Write tensors and plain values, with what they are and a digest; `torch.load(path, weights_only=True)` opens it too.
+
+    Args:
+        path: of the file.
+        kind: what the content is, such as "checkpoint".
+        content: dicts, lists and tuples of tensors, strings, numbers, booleans and None.
+
+    Raises:
+        FileError: see `write_atomically`.
+    """
+    buffer = io.BytesIO()  # torch's own writer reports a full disk in words of its own
+    torch.save({SEAL: FORMAT, "kind": kind, "digest": digest(content), "content": content}, buffer)
+    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
+
+
+def load(path: str | Path, kind: str) -> dict[str, Any]:
+    """The content of a file that `save` wrote, verified; tensors come to the CPU.
+
+    Raises:
+        FileError: there is no such file, it is damaged or cut, of another kind, of a later version, or not of this library.
+    """
+    path = existing(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check_sizes(path, archive, stored=True)
+        sealed = torch.load(path, weights_only=True, map_location="cpu")
+    except FileError:
+        raise
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, pickle.UnpicklingError) as error:
+        raise FileError(
+            f"{path} is no readable file of a {kind}: it is damaged, cut, or another kind of file"
+        ) from error
+    except (
+        Exception
+    ) as error:  # the unpickler of torch lets IndexError, AttributeError and others of damaged files through
+        raise FileError(f"{path} is no readable file of a {kind} ({type(error).__name__})") from error
+    if not isinstance(sealed, dict) or not isinstance(sealed.get(SEAL), int):
+        raise FileError(f"{path} was not written by this library, or by a version before files were verified")
+    if sealed[SEAL] > FORMAT:
+        raise FileError(f"{path} has format {sealed[SEAL]}, this version reads up to {FORMAT}; install a newer torchds")
+    if sealed.get("kind") != kind:
+        raise FileError(f"{path} is a {sealed.get('kind')}, needed is a {kind}")
+    content = sealed.get("content")
+    if not isinstance(content, dict) or digest(content) != sealed.get("digest"):
+        raise FileError(f"{path} is damaged: its content does not have the digest that was written with it")
+    return content
+
+
+def digest(content: Any) -> str:
+    """SHA-256 of tensors and plain values, in the order in which they stand.
+
+    Raises:
+        FileError: a value of another type, or a tensor that claims more numbers than it has.
+    """
+    sha = hashlib.sha256()
+    for part in _parts(content):
+        sha.update(part)
+    return sha.hexdigest()
+
+
+def _parts(value: Any) -> Iterator[bytes]:
+    """A value as bytes; the length of each part is said first, so that no two values look alike."""
+    if isinstance(value, Tensor):
+        if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+            raise FileError(f"a tensor of shape {tuple(value.shape)} claims more numbers than are there")
+        yield f"tensor {value.dtype} {tuple(value.shape)} ".encode()
+        yield value.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
+    elif isinstance(value, Mapping):
+        yield f"dict {len(value)} ".encode()
+        for key, item in value.items():
+            yield from _parts(key)
+            yield from _parts(item)
+    elif isinstance(value, (list, tuple)):
+        yield f"{'list' if isinstance(value, list) else 'tuple'} {len(value)} ".encode()
+        for item in value:
+            yield from _parts(item)
+    elif isinstance(value, float):
+        yield b"float " + struct.pack("<d", value)
+    elif isinstance(value, (str, bytes)):
+        text = value.encode() if isinstance(value, str) else value
+        yield f"{type(value).__name__} {len(text)} ".encode() + text
+    elif value is None or isinstance(value, (bool, int)):
+        yield f"{value!r} ".encode()
+    else:
+        raise FileError(f"a file holds tensors and plain values, not {type(value).__name__}")
+
+
+# ------------------------------------------------------------------ JSON
+
+
+def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
+    """Write plain values as JSON; NaN and infinities, which JSON does not have, become null.
+
+    Raises:
+        FileError: see `write_atomically`.
+    """
+    text = json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def plain(value: Any) -> Any:
+    """The value with null for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        FileError: there is no such file, or it is not JSON with an object at its top.
+    """
+    path = existing(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not readable JSON: {reason(error)}") from error
+    if not isinstance(content, dict):
+        raise FileError(f"{path} holds a {type(content).__name__}, needed is an object with names")
+    return content
+
+
+# ------------------------------------------------------------------ arrays
+
+
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """All arrays of a NumPy archive by name; the sizes that it claims are checked before anything is unpacked.
+
+    Raises:
+        FileError: there is no such file, it is no such archive, is damaged, holds Python objects, or is too large.
+    """
+    path = existing(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check_sizes(path, archive, stored=False)
+            if (bad := archive.testzip()) is not None:
+                raise FileError(f"{path} is damaged: {bad} does not have the checksum that was written with it")
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except FileError:
+        raise
+    except zipfile.BadZipFile as error:
+        raise FileError(
+            f"{path} is no .npz archive, or a damaged one; write one with save_npz() or numpy.savez"
+        ) from error
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds
+        raise FileError(f"{path} is no readable .npz archive: {reason(error)}") from error
+
+
+def _check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
+    """Refuse an archive that would unpack to more than it can be meant to hold."""
+    size = path.stat().st_size
+    unpacked = sum(member.file_size for member in archive.infolist())
+    allowed = size if stored else min(LARGEST, max(100 * size, 2**28))
+    if unpacked > allowed:
+        raise FileError(f"{path} has {size} bytes and claims to unpack to {unpacked}; at most {allowed} are taken")
+    names = [member.filename for member in archive.infolist()]
+    if len(set(names)) < len(names):
+        raise FileError(f"{path} holds several members of one name")
+
+
+def existing(path: str | Path) -> Path:
+    """The path of a regular file that is there.
+
+    Raises:
+        FileError: there is none, or it is a folder or something else.
+    """
+    path = Path(path)
+    try:
+        if path.is_file():
+            return path
+        there = path.exists()
+    except (OSError, ValueError) as error:  # a name that is too long, or has a null in it
+        raise FileError(f"{str(path)!r} is no usable name of a file: {reason(error)}") from error
+    if there:
+        raise FileError(f"{path} is a folder or something else that is no file")
+    raise FileError(f"{path}: no such file (looked in {path.parent.resolve()})")
