@@ -10,7 +10,13 @@ import pytest
 from torchds.errors import FileError
 from torchds.locks import one_writer
 
-HOLD = "import sys, time; from torchds.locks import one_writer\nwith one_writer(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+HOLD = """
+import sys, time
+from torchds.locks import one_writer
+with one_writer(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(60)
+"""
 
 
 def test_the_second_writer_is_told_who_works_there(tmp_path):
