@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 FAST := -n 2 -m 'not slow and not gpu'
 
-.PHONY: train quick test coverage oldest lint format clean
+.PHONY: train quick test coverage oldest fuzz lint format clean
 
 train: $(VENV)/.ready
 	$(BIN)/python -m train via_point --shape N --runs 20 --updates 100
@@ -18,6 +18,11 @@ test: lint
 # The same tests, and how much of torchds they reach; pyproject.toml has the floor.
 coverage: lint
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
+
+# The property tests of tests/faults with many cases and fresh seeds; prints the table of docs/reliability.md.
+CASES ?= 2500
+fuzz: $(VENV)/.ready
+	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .

@@ -1,0 +1,40 @@
+"""Property tests by numbers: few fixed cases in every run of the tests, many fresh ones in `make fuzz`."""
+
+import functools
+import os
+from collections import Counter
+from datetime import timedelta
+
+from hypothesis import HealthCheck, given, settings
+
+CASES = int(os.environ.get("TORCHDS_FUZZ", "0"))
+"""Cases of each property in `make fuzz`, with seeds of their own; 0 for the fixed ones."""
+
+TRIED: Counter[str] = Counter()
+"""Cases tried so far, by file."""
+
+
+def fuzz(usual=25, **strategies):
+    """Hold a property for drawn cases, each at most two seconds long.
+
+    Args:
+        usual: cases in a run of the tests.
+        **strategies: what the arguments of the test are drawn from.
+    """
+
+    def decorate(test):
+        @functools.wraps(test)
+        def counted(*args, **kwargs):
+            TRIED[test.__module__.rpartition(".")[2]] += 1
+            return test(*args, **kwargs)
+
+        run = settings(
+            max_examples=CASES or usual,
+            derandomize=not CASES,
+            database=None,
+            deadline=timedelta(seconds=2),
+            suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+        )
+        return run(given(**strategies)(counted))
+
+    return decorate
