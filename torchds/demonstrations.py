@@ -26,8 +26,9 @@ from torch import Tensor
 
 from torchds.arrays import Array, check_finite, check_labels, matching, per_demonstration, tensors
 from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError
+from torchds.mending import Mending
 from torchds.preparation import Demonstration as Demonstration
-from torchds.preparation import Preparation, gradient
+from torchds.preparation import gradient
 
 
 class Samples(NamedTuple):
@@ -38,7 +39,7 @@ class Samples(NamedTuple):
     stiffness: Tensor | None  # (M, Q)
 
 
-class Demonstrations(Preparation):
+class Demonstrations(Mending):
     """An immutable list of motions with the same dimensions.
 
     float32 and float64 data keep their dtype, everything else becomes float64. The data are copied.

@@ -5,6 +5,7 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Sequence
@@ -161,7 +162,7 @@ class Mending(Preparation):
                     f"rows have to be from 0 to {len(d.x) - 2} for demonstration {i}, got {list(rows or ())}"
                 )
             ends = [0, *(row + 1 for row in after), len(d.x)]
-            parts += [_cut(d, a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b - a > 1]
+            parts += [_cut(d, a, b) for a, b in itertools.pairwise(ends) if b - a > 1]
         if len(parts) == len(self):
             raise InvalidArgumentError("no demonstration has a jump to be split at; give the rows to split after")
         cut = self._of(parts, self.names, self.units)

@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of its own rung and below.
 LIBRARY = [
     {"errors"},
-    {"visits", "arrays"},
-    {"preparation"},
+    {"visits", "arrays", "files", "findings", "locks"},
+    {"preparation", "mending"},
     {"mixture", "demonstrations", "costs", "stability", "metrics"},
     {"recordings", "parameters", "trainable", "starts"},
     {"policy"},

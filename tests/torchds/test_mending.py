@@ -41,7 +41,7 @@ def test_velocities_and_stiffness_are_resampled_too():
     t = torch.linspace(0, 1, 80, dtype=torch.float64).square()
     x, v = circle(t)
     (d,) = Demonstrations.from_samples([t], [x], [3 * v], stiffness=[100 * t[:, None]], dt=0.02, units="m")
-    at = d.dt * torch.arange(len(d.x))
+    at = d.dt * torch.arange(len(d.x), dtype=torch.float64)
     assert (d.v - 3 * circle(at)[1]).abs().max() < 1e-3
     assert (d.stiffness[:, 0] - 100 * at).abs().max() < 1e-9
 
