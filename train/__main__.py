@@ -15,9 +15,10 @@ from train import benchmark
 from train.beyond.command import Beyond
 from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
+from train.folder import Interrupted
 from train.hardware.command import Hardware
 from train.lasa.command import BenchmarkLasa
-from train.learning.run import Interrupted, run
+from train.learning.run import run
 from train.options import TASK_OPTIONS, RunOptions
 from train.paper.claims.command import Claims
 from train.paper.figures.command import Figures

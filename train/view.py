@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -10,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 import tyro
 
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
+from train.folder import OPTIONS, POLICY, RunFolder
 from train.learning.learner import Learner
-from train.learning.run import OPTIONS
 from train.options import LwrDiggingOptions
 
 PER_SECOND = 30  # frames
@@ -51,7 +49,7 @@ class View:
                 f"look at {self.policy / 'film.gif'}, which the run left"
             )
         learner = Learner(options)
-        learner.policy.load_state_dict(torch.load(self.policy / "policy.pt", weights_only=True))
+        learner.policy.load_state_dict(RunFolder(self.policy).policy())
         print("one trial, then the window opens ...")
         show(options, learner.task.rollout(learner.policy[self.run]))
 
@@ -61,20 +59,15 @@ class View:
         Raises:
             InvalidArgumentError: see `main`.
         """
-        files = [self.policy / name for name in (OPTIONS, "policy.pt")]
-        if missing := [file.name for file in files if not file.is_file()]:
+        folder = RunFolder(self.policy, "--policy")
+        folder.require(OPTIONS, POLICY)
+        options = folder.options()
+        if not isinstance(options, LwrDiggingOptions) or not 0 <= self.run < options.runs:
             raise InvalidArgumentError(
-                f"--policy {self.policy}: no {', '.join(missing)} there; give the folder of a finished run, below "
-                "logs/lwr_digging"
+                f"--policy {self.policy}: a run of {options.task!r} with {options.runs} policies; needed is one of "
+                f"{self.task!r} that has policy {self.run}"
             )
-        content = json.loads(files[0].read_text())
-        runs = content["options"]["runs"]
-        if content["task"] != self.task or not 0 <= self.run < runs:
-            raise InvalidArgumentError(
-                f"--policy {self.policy}: a run of {content['task']!r} with {runs} policies; needed is one of {self.task!r} "
-                f"that has policy {self.run}"
-            )
-        return LwrDiggingOptions.from_json(content["options"])
+        return options
 
 
 def show(options: LwrDiggingOptions, path: Rollout) -> None:

@@ -23,8 +23,8 @@ LIBRARY = [
     {"optim", "plotting"},
 ]
 COMMANDS = [
-    {"folder", "tables", "statistics"},
-    {"options"},
+    {"options", "tables", "statistics"},
+    {"folder"},
     {"searchers"},
     {"learning"},
     {"paper", "compare", "beyond", "lasa", "deep_rl", "hardware", "benchmark", "view"},

@@ -10,16 +10,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-import torch
 from tqdm import tqdm
 
 import tasks
 from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report as compare_report
 from train.compare.report import Row
-from train.folder import results, save_checkpoint, versions, write_json
+from train.folder import RESULTS, Interrupted, RunFolder, versions
+from train.learning.history import results
 from train.learning.learner import Learner
-from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, Interrupted
 from train.options import TASK_OPTIONS, Optimizer, RunOptions
 from train.searchers.named import METHODS
 from train.statistics import median
@@ -188,25 +187,23 @@ class Compare:
         usual = type(options)().to_json()  # left out of the name: an option that is added later changes no names
         own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
         key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
-        folder = self.logdir / "compare" / "runs" / options.task / f"{options.optimizer}-{key}"
-        if (folder / RESULTS).is_file():
-            return json.loads((folder / RESULTS).read_text())
+        folder = RunFolder(self.logdir / "compare" / "runs" / options.task / f"{options.optimizer}-{key}")
+        if folder.has(RESULTS):
+            return folder.results()
         learner = Learner(options, made(options))
-        folder.mkdir(parents=True, exist_ok=True)
-        write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
-        if (folder / CHECKPOINT).is_file():
-            learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
+        folder.begin(options.task, options.to_json())
+        folder.restore(learner)
         learner.start()
         saved = time.monotonic()
         while learner.done < learner.n_updates:
             learner.update()
             bar.set_postfix_str(f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}")
             if time.monotonic() - saved > SAVE_EVERY:
-                save_checkpoint(folder / CHECKPOINT, learner.state_dict())
+                folder.save_checkpoint(learner.state_dict())
                 saved = time.monotonic()
-        write_json(folder / RESULTS, results(options.task, options.to_json(), learner.history))
-        (folder / CHECKPOINT).unlink(missing_ok=True)
-        return json.loads((folder / RESULTS).read_text())
+        folder.write_results(results(options.task, options.to_json(), learner.history))
+        folder.drop_checkpoint()
+        return folder.results()
 
     # ------------------------------------------------------------------ rows of others
 
@@ -216,11 +213,7 @@ class Compare:
         Raises:
             InvalidArgumentError: there is none.
         """
-        if not (folder / RESULTS).is_file():
-            raise InvalidArgumentError(
-                f"--add {folder}: no {RESULTS} there; give the folder of a finished run, below logs/"
-            )
-        record = json.loads((folder / RESULTS).read_text())
+        record = RunFolder(folder, "--add").results()
         shape = record["options"].get("shape")
         problem = record["task"] if shape is None else f"{record['task']}-{shape}"
         gradient = record["options"]["optimizer"] in METHODS and METHODS[record["options"]["optimizer"]].gradient

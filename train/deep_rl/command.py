@@ -17,8 +17,8 @@ import tasks
 from tasks.base import total
 from tasks.trials import PROBLEMS
 from torchds.errors import InvalidArgumentError
-from train.folder import History, results, table, write_json
-from train.learning.run import OPTIONS, RESULTS, Interrupted, new_folder
+from train.folder import Interrupted, RunFolder
+from train.learning.history import History, results, table
 from train.statistics import median
 
 EVALUATIONS = 50  # at most, besides the first; a trial takes as long as a tenth of an update
@@ -79,8 +79,9 @@ class DeepRL:
         task = tasks.make(self.task, **self.task_options())
         n_updates = self.updates or task.search.n_updates
         n_rollouts = self.rollouts or task.search.n_rollouts
-        folder = new_folder(self.logdir, self.task, self.optimizer, self.seed)
-        write_json(folder / OPTIONS, {"task": self.task, "options": self.to_json()})
+        run = RunFolder.new(self.logdir, self.task, self.optimizer, self.seed)
+        run.begin(self.task, self.to_json())
+        folder = run.path
         print(f"{self.environment}: {self.runs} run(s) of {self.optimizer}, logs in {folder}")
         curves: dict[int, list[dict[str, Tensor]]] = {}  # the terms of each run, by update
         began = time.perf_counter()
@@ -118,7 +119,7 @@ class DeepRL:
                 for name, values in terms.items():
                     writer.add_scalar(f"cost/{name}", values.median(), update)
                 writer.add_scalar("rollouts/total", history.rollouts[-1], update)
-        write_json(folder / RESULTS, results(self.task, self.to_json(), history))
+        run.write_results(results(self.task, self.to_json(), history))
         print(table(history))
         print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; agents and results in {folder}")
         return folder

@@ -22,7 +22,7 @@ from tasks.digging import lwr
 from tasks.digging.simulation import WEIGHING, Recording
 from tasks.digging.task import LwrDigging
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
-from train.folder import results, save_checkpoint, write_json
+from train.folder import POLICY, RunFolder, save_state
 from train.hardware.robot_files import (
     COSTS,
     Recorded,
@@ -35,8 +35,9 @@ from train.hardware.robot_files import (
     write_reference,
     write_table,
 )
+from train.learning.history import results
 from train.learning.learner import Learner
-from train.learning.run import RESULTS, check
+from train.learning.run import check
 from train.options import LwrDiggingOptions
 from train.tables import aligned
 
@@ -118,11 +119,12 @@ class Session:
     def save(self) -> None:
         """Write results and policy, then the state: before that moment the command did not happen."""
         history = self.learner.history
-        write_json(self.folder / RESULTS, results(self.options.task, self.options.to_json(), history))
-        save_checkpoint(self.folder / "policy.pt", self.learner.policy.state_dict())
+        run = RunFolder(self.folder)
+        run.write_results(results(self.options.task, self.options.to_json(), history))
+        run.save_policy(self.learner.policy.state_dict())
         books = {name: getattr(self, name) for name in ("asked", "attempt", "spent", "failed")}
         state = {"options": self.options.to_json(), "learner": self.learner.state_dict(), **books}
-        save_checkpoint(self.folder / STATE, state)
+        save_state(self.folder / STATE, state)
 
     @property
     def done(self) -> int:
@@ -307,7 +309,7 @@ class Session:
     def next(self) -> str:
         """The command to type next."""
         if not self.asked:
-            finished = f"all updates are made; the policy is in {self.folder / 'policy.pt'}"
+            finished = f"all updates are made; the policy is in {self.folder / POLICY}"
             return finished if self.done >= self.learner.n_updates else f"next: {hint('ask', self.folder)}"
         first = ""
         if "missing" in returned(self.update_folder, self.optim.n_rollouts):

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from tasks import Task
 from torchds import GMRPolicy, plotting
-from train.folder import History
+from train.learning.history import History
 from train.learning.learner import Learner
 
 

@@ -12,7 +12,7 @@ import torch
 import tasks
 from tasks.base import total
 from torchds import GMRPolicy, Rollout
-from train.folder import History
+from train.learning.history import History
 from train.options import RunOptions
 from train.searchers.base import Closure, noisy
 from train.searchers.named import Explore, make_searcher, n_updates

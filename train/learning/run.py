@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import time
 from pathlib import Path
 
-import torch
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from torchds.errors import InvalidArgumentError
-from train.folder import results, save_checkpoint, table, write_json
+from train.folder import Interrupted, RunFolder
 from train.learning import figures
 from train.learning.album import Album
+from train.learning.history import results, table
 from train.learning.learner import Learner
-from train.options import TASK_OPTIONS, RunOptions
+from train.options import RunOptions
 from train.statistics import median, quartiles
-
-CHECKPOINT = "checkpoint.pt"
-OPTIONS = "options.json"
-RESULTS = "results.json"
-
-
-class Interrupted(Exception):
-    """The run was stopped from the keyboard; its folder can be resumed."""
 
 
 def check(options: RunOptions) -> None:
@@ -43,32 +33,6 @@ def check(options: RunOptions) -> None:
         )
 
 
-def resume_options(folder: Path) -> RunOptions:
-    """The options of the run in `folder`.
-
-    Raises:
-        InvalidArgumentError: no run is there.
-    """
-    if not (folder / OPTIONS).is_file():
-        raise InvalidArgumentError(f"--resume {folder}: no {OPTIONS} there; give the folder of a run, below logs/")
-    content = json.loads((folder / OPTIONS).read_text())
-    return TASK_OPTIONS[content["task"]].from_json(content["options"])
-
-
-def new_folder(logdir: Path, task: str, optimizer: str, seed: int) -> Path:
-    """Make LOGDIR/<task>/<optimizer>/<time>-<seed>/, a new one in any case."""
-    parent = logdir / task / optimizer
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}"
-    names = (stem if i == 0 else f"{stem}.{i}" for i in range(1000))
-    for folder in (parent / name for name in names):
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return folder
-    raise InvalidArgumentError(f"cannot make a new folder like {parent / stem}")
-
-
 def run(options: RunOptions) -> Path:
     """Learn, log, and return the folder of the run.
 
@@ -76,17 +40,17 @@ def run(options: RunOptions) -> Path:
         InvalidArgumentError: options that do not fit.
         Interrupted: from the keyboard; everything up to the last update is kept.
     """
-    folder = options.resume
-    options = resume_options(folder) if folder is not None else options
+    folder = None if options.resume is None else RunFolder(options.resume, "--resume")
+    options = options if folder is None else folder.options()
     check(options)
     learner = Learner(options)
     if folder is None:
-        folder = new_folder(options.logdir, options.task, options.optimizer, options.seed)
-        write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
-    elif (folder / CHECKPOINT).is_file():
-        learner.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
-    print(f"{options.task}: {options.runs} run(s), logs in {folder}")
-    with SummaryWriter(str(folder), purge_step=learner.done) as writer:
+        folder = RunFolder.new(options.logdir, options.task, options.optimizer, options.seed)
+        folder.begin(options.task, options.to_json())
+    else:
+        folder.restore(learner)
+    print(f"{options.task}: {options.runs} run(s), logs in {folder.path}")
+    with SummaryWriter(str(folder.path), purge_step=learner.done) as writer:
         album = Album(writer, learner)
         if not learner.history.cost:
             learner.start()
@@ -98,28 +62,30 @@ def run(options: RunOptions) -> Path:
                 seconds = learner.update()
                 log(writer, learner, seconds)
                 album.add()
-                save_checkpoint(folder / CHECKPOINT, learner.state_dict())
+                folder.save_checkpoint(learner.state_dict())
                 bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
                 bar.update()
         except KeyboardInterrupt:
-            raise Interrupted(f"stopped; continue with: python -m train {options.task} --resume {folder}") from None
+            raise Interrupted(
+                f"stopped; continue with: python -m train {options.task} --resume {folder.path}"
+            ) from None
         finally:
             bar.close()
         finish(folder, writer, learner)
-        album.finish(folder)
+        album.finish(folder.path)
     history = learner.history
     print(table(history))
-    print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder}")
-    return folder
+    print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder.path}")
+    return folder.path
 
 
-def finish(folder: Path, writer: SummaryWriter, learner: Learner) -> None:
+def finish(folder: RunFolder, writer: SummaryWriter, learner: Learner) -> None:
     """Write results, policies, figures and hyper-parameters."""
     options, history = learner.options, learner.history
-    write_json(folder / RESULTS, results(options.task, options.to_json(), history))
-    save_checkpoint(folder / "policy.pt", learner.policy.state_dict())
+    folder.write_results(results(options.task, options.to_json(), history))
+    folder.save_policy(learner.policy.state_dict())
     for name, figure in figures.of_run(learner).items():
-        figure.savefig(folder / f"{name}.png", dpi=130)
+        figure.savefig(folder.path / f"{name}.png", dpi=130)
         writer.add_figure(name, figure, learner.n_updates)
     hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
     writer.add_hparams(hparams, {"hparam/final_cost_median": median(history.cost[-1])}, run_name=".")

@@ -12,8 +12,8 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.compare import command as compare
 from train.compare.command import Compare
 from train.compare.report import Row, reference_level
+from train.folder import Interrupted
 from train.learning.learner import Learner
-from train.learning.run import Interrupted
 from train.options import ViaPointOptions
 
 SMALL = {

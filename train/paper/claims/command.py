@@ -14,8 +14,7 @@ import tasks
 import torchds
 import train
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.folder import versions, write_atomically, write_json
-from train.learning.run import Interrupted
+from train.folder import Interrupted, versions, write_atomically, write_json
 from train.paper.claims import digging, exploration, impedance, report, via_points
 from train.paper.claims.base import Check, Claim, Setting
 from train.paper.measured.digging import Experiment

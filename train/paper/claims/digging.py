@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from train.learning.run import RESULTS
+from train.folder import RESULTS
 from train.paper.claims.base import Check, Claim, Setting, lower, within
 from train.paper.measured.digging import UNIFORM, Experiment, Terms, best_uniform
 

@@ -16,9 +16,9 @@ from tqdm import tqdm
 
 import tasks
 from torchds import GMRPolicy
-from train.folder import versions, write_json
+from train.folder import OPTIONS, RESULTS, RunFolder, versions, write_json
 from train.learning.learner import Learner
-from train.learning.run import CHECKPOINT, OPTIONS, RESULTS, resume_options, run
+from train.learning.run import run
 from train.options import LwrDiggingOptions
 
 STARTS = (150.0, 400.0)  # N/m
@@ -55,20 +55,21 @@ class Experiment:
         path = self.folder / TRIALS_FILE
         return json.loads(path.read_text())["trials"] if path.is_file() else {}
 
-    def learned(self, learner: str, start: float) -> Path:
+    def learned(self, learner: str, start: float) -> RunFolder:
         """The folder of one learning run, which is made, continued or found finished."""
-        folder = self.place(learner, start)
+        folder = RunFolder(self.place(learner, start))
         options = replace(self.options, **LEARNERS[learner], initial_stiffness=start, seed=self.seed)
-        if not (folder / OPTIONS).is_file():
-            folder.mkdir(parents=True, exist_ok=True)
-            write_json(folder / OPTIONS, {"task": options.task, "options": options.to_json()})
-        return folder if (folder / RESULTS).is_file() else run(replace(options, resume=folder))
+        if not folder.has(OPTIONS):
+            folder.begin(options.task, options.to_json())
+        if not folder.has(RESULTS):
+            run(replace(options, resume=folder.path))
+        return folder
 
     def learner(self, learner: str, start: float) -> Learner:
         """The finished run, as an object."""
         folder = self.learned(learner, start)
-        finished = Learner(resume_options(folder))
-        finished.load_state_dict(torch.load(folder / CHECKPOINT, weights_only=True))
+        finished = Learner(folder.options())
+        folder.restore(finished)
         return finished
 
     def trials(self) -> dict[str, Terms]:

@@ -15,7 +15,7 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.exploration import Stable
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import PointMass
-from train.learning.run import Interrupted
+from train.folder import Interrupted
 from train.paper.claims import base, digging, exploration, impedance, via_points
 from train.paper.claims import command as claims
 from train.paper.claims.base import HELD, IN_PART, NOT_HELD, NOT_MEASURED, Check, Claim, Setting, verdict
