@@ -14,8 +14,8 @@ from tqdm import tqdm
 
 import tasks
 from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
-from train.compare import report as compare_report
-from train.compare.report import Row
+from train.compare import report
+from train.compare.report import Outcome
 from train.folder import RESULTS, Interrupted, RunFolder, versions
 from train.learning.history import results
 from train.learning.learner import Learner
@@ -33,7 +33,7 @@ PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
 SAVE_EVERY = 10.0  # s between two checkpoints
 TUNING_SEED = 1000  # added to the seed of the reported runs
 
-Coordinates = Literal["plain", "trajectory"]
+CoordinateKind = Literal["plain", "trajectory"]
 
 
 class Candidate(NamedTuple):
@@ -41,7 +41,7 @@ class Candidate(NamedTuple):
 
     problem: str
     optimizer: str
-    coordinates: Coordinates
+    coordinates: CoordinateKind
 
     @property
     def label(self) -> str:
@@ -60,7 +60,7 @@ class Compare:
     """Problems: via_point-N, via_point-P and the other tasks by their names."""
     optimizers: tuple[str, ...] = get_args(Optimizer)
     """As --optimizer of the training commands."""
-    coordinates: tuple[Coordinates, ...] = ("plain", "trajectory")
+    coordinates: tuple[CoordinateKind, ...] = ("plain", "trajectory")
     """plain: noise or coordinates homogeneous in task space, each parameter by itself. trajectory: along the motion."""
     runs: int = 20
     """Reported runs of each row, in one batch; where nothing is random, one stands for all."""
@@ -95,7 +95,7 @@ class Compare:
             for optimizer in self.optimizers
             for coordinates in self.coordinates
         ]
-        rows: list[Row] = []
+        rows: list[Outcome] = []
         with tqdm(total=len(candidates), unit="row", dynamic_ncols=True) as bar:
             try:
                 for candidate in candidates:
@@ -107,7 +107,7 @@ class Compare:
         rows += added
         folder = self.logdir / "compare" / time.strftime("%Y%m%d-%H%M%S")
         folder.mkdir(parents=True)
-        text = compare_report.write(folder, rows, self.to_json(), versions())
+        text = report.write(folder, rows, self.to_json(), versions())
         print(text)
         print(f"tables, curves and TensorBoard files in {folder}")
         return folder
@@ -117,7 +117,7 @@ class Compare:
         for kind, received, known in (
             ("problem", self.tasks, PROBLEMS),
             ("optimizer", self.optimizers, get_args(Optimizer)),
-            ("coordinates", self.coordinates, get_args(Coordinates)),
+            ("coordinates", self.coordinates, get_args(CoordinateKind)),
         ):
             for name in received:
                 if name not in known:
@@ -134,7 +134,7 @@ class Compare:
 
     # ------------------------------------------------------------------ one row
 
-    def row(self, candidate: Candidate, bar: tqdm) -> Row:
+    def row(self, candidate: Candidate, bar: tqdm) -> Outcome:
         """Tune, run, and summarise one candidate; what a method refuses is its row."""
         random = self.random(candidate.optimizer)
         try:
@@ -144,9 +144,9 @@ class Compare:
             best = min(tuned, key=lambda factor: tuned[factor]) if tuned else self.factors[0]
             record = self.learned(self.options(candidate, best, self.runs if random else 1, self.seed), bar)
         except TorchdsError as error:
-            return Row(candidate.problem, candidate.label, refused=str(error))
+            return Outcome(candidate.problem, candidate.label, refused=str(error))
         gradient = candidate.optimizer in METHODS and METHODS[candidate.optimizer].gradient
-        return Row(candidate.problem, candidate.label, record, best, tuned, random=random, gradient=gradient)
+        return Outcome(candidate.problem, candidate.label, record, best, tuned, random=random, gradient=gradient)
 
     def final(self, candidate: Candidate, factor: float, bar: tqdm) -> float:
         """What the choice goes by: the median final cost of the tuning runs, infinite where it is not a number."""
@@ -207,7 +207,7 @@ class Compare:
 
     # ------------------------------------------------------------------ rows of others
 
-    def added(self, folder: Path) -> Row:
+    def added(self, folder: Path) -> Outcome:
         """A row from the results.json of another run.
 
         Raises:
@@ -217,7 +217,7 @@ class Compare:
         shape = record["options"].get("shape")
         problem = record["task"] if shape is None else f"{record['task']}-{shape}"
         gradient = record["options"]["optimizer"] in METHODS and METHODS[record["options"]["optimizer"]].gradient
-        return Row(problem, f"{record['options']['optimizer']}, added", record, gradient=gradient)
+        return Outcome(problem, f"{record['options']['optimizer']}, added", record, gradient=gradient)
 
 
 _made: dict[str, tuple[tasks.Task, dict[str, Any]]] = {}

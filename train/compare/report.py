@@ -37,7 +37,7 @@ OTHERS = ("#c98a1b", "#8a5a3c", "#b03a8c", "#5f7d3a")  # of rows that were added
 
 
 @dataclass(frozen=True)
-class Row:
+class Outcome:
     """One optimizer on one problem.
 
     Attributes:
@@ -94,12 +94,13 @@ def number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "∞"
 
 
-def cells(row: Row, level: float | None) -> list[str]:
+def cells(row: Outcome, level: float | None) -> list[str]:
     """One line of a table."""
     if row.refused:
         return [row.label, *["—"] * (len(HEAD) - 1)]
     q1, median, q3 = row.quartiles()
     reached = None if level is None else row.reaches(level)
+    unreached = "—" if level is None else "never"
     return [
         row.label,
         "yes" if row.gradient else "no",
@@ -109,7 +110,7 @@ def cells(row: Row, level: float | None) -> list[str]:
         number(q1[-1]),
         number(q3[-1]),
         str(row.record["rollouts"][-1]),
-        "never" if reached is None else str(reached),
+        unreached if reached is None else str(reached),
         str(row.record["forward_equivalents"][-1]),
         str(sum(row.record["failed"])),
         str(len(row.record["cost"][-1])) if row.random else "1, deterministic",
@@ -117,21 +118,21 @@ def cells(row: Row, level: float | None) -> list[str]:
     ]
 
 
-def by_problem(rows: Iterable[Row]) -> dict[str, list[Row]]:
+def by_problem(rows: Iterable[Outcome]) -> dict[str, list[Outcome]]:
     """Rows in the order of the problems' first appearance."""
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[Outcome]] = {}
     for row in rows:
         found.setdefault(row.problem, []).append(row)
     return found
 
 
-def reference_level(rows: Sequence[Row]) -> float | None:
+def reference_level(rows: Sequence[Outcome]) -> float | None:
     """PI^BB's final median, as tuned; None without such a row."""
     level = [row.quartiles()[1][-1] for row in rows if row.label == REFERENCE and not row.refused]
     return float(level[0]) if level else None
 
 
-def table(rows: Sequence[Row]) -> str:
+def table(rows: Sequence[Outcome]) -> str:
     """The Markdown table of one problem, the lowest final median first, and what was refused below it."""
     level = reference_level(rows)
     ordered = sorted(rows, key=lambda row: math.inf if row.refused else row.quartiles()[1][-1])
@@ -140,7 +141,7 @@ def table(rows: Sequence[Row]) -> str:
     return text + ("\n\nCannot be had:\n\n" + "\n".join(reasons) if reasons else "")
 
 
-def choices(rows: Sequence[Row]) -> str:
+def choices(rows: Sequence[Outcome]) -> str:
     """The median final cost of the tuning runs by factor."""
     factors = sorted({factor for row in rows for factor in row.tuned})
     if not factors:
@@ -154,7 +155,7 @@ def choices(rows: Sequence[Row]) -> str:
     return markdown(head, lines)
 
 
-def page(rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str]) -> str:
+def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, str]) -> str:
     """The report."""
     noise = options["noise_std"]
     noisy = (
@@ -187,14 +188,14 @@ def page(rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str])
     return "\n\n".join(parts) + "\n"
 
 
-def colors(rows: Sequence[Row]) -> dict[str, str]:
+def colors(rows: Sequence[Outcome]) -> dict[str, str]:
     """One colour for one optimizer, in all panels."""
     names = dict.fromkeys(row.label.split(",")[0] for row in rows)
     spare = iter(OTHERS * len(names))
     return {name: COLORS.get(name) or next(spare) for name in names}
 
 
-def curves(rows: Sequence[Row]) -> Figure:
+def curves(rows: Sequence[Outcome]) -> Figure:
     """Median cost against roll-outs, a row of panels per problem: plain on the left, along the motion beside it."""
     shown = [row for row in rows if not row.refused]
     problems, color = by_problem(shown), colors(rows)
@@ -215,7 +216,7 @@ def curves(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def draw(axes: Axes, rows: Sequence[Row], color: dict[str, str], level: float | None) -> None:
+def draw(axes: Axes, rows: Sequence[Outcome], color: dict[str, str], level: float | None) -> None:
     """Medians as lines, quartiles as bands; dashed where the method sees gradients."""
     floor, ceiling = math.inf, 0.0
     for row in rows:
@@ -237,7 +238,7 @@ def draw(axes: Axes, rows: Sequence[Row], color: dict[str, str], level: float | 
     axes.grid(alpha=0.3)
 
 
-def write(folder: Path, rows: Sequence[Row], options: dict[str, Any], versions: dict[str, str]) -> str:
+def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, str]) -> str:
     """Write report.md, table.csv, curves.csv, curves.png and TensorBoard files; return the report."""
     text = page(rows, options, versions)
     (folder / "report.md").write_text(text)

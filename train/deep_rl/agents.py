@@ -37,15 +37,15 @@ class Batch(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Array:
-        """All to the start."""
+        """Take all environments to the start."""
         return self.env.reset()[0]
 
     def step_async(self, actions: Array) -> None:
-        """Remember what to do."""
+        """Keep the actions of all environments until `step_wait` executes them."""
         self.actions = actions
 
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Do it."""
+        """Execute them: observations, rewards and ends of all environments; an ended one begins anew at once."""
         observations, rewards, ended, _, infos = self.env.step(self.actions)
         last = infos.get("final_obs", [None] * self.num_envs)
         each = [{} if x is None else {"terminal_observation": x, "TimeLimit.truncated": False} for x in last]
@@ -55,15 +55,15 @@ class Batch(VecEnv):
         """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Of the batch, the same for all."""
+        """An attribute of the batch, which all environments share."""
         return [getattr(self.env, attr_name)] * self.num_envs
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """For all."""
+        """Set an attribute of the batch, which all environments share."""
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Once for all."""
+        """Call a method of the batch once; all environments return the same."""
         return [getattr(self.env, method_name)(*args, **kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:

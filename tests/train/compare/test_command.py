@@ -11,7 +11,6 @@ from tests.motions import Short
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.compare import command as compare
 from train.compare.command import Compare
-from train.compare.report import Row, reference_level
 from train.folder import Interrupted
 from train.learning.learner import Learner
 from train.options import ViaPointOptions
@@ -139,23 +138,6 @@ def test_noise_makes_deterministic_methods_random(tmp_path):
     assert row["runs"] == "3"
     assert row["q1"] != row["q3"]
     assert "normal noise of 0.3 times the initial cost" in (folder / "report.md").read_text()
-
-
-def row(label, cost, rollouts=(0, 10, 20)):
-    return Row("p", label, {"cost": cost, "rollouts": list(rollouts)})
-
-
-def test_rollouts_to_a_level_are_those_of_the_first_update_whose_median_is_there():
-    curve = row("a", [[9.0, 9.0, 9.0], [1.0, 4.0, 5.0], [1.0, 2.0, 9.0]])
-    assert [curve.reaches(level) for level in (9.0, 4.0, 3.0, 1.9)] == [0, 10, 20, None]
-    assert reference_level([curve, row("pibb", [[9.0], [3.0], [2.5]])]) == 2.5
-    assert reference_level([curve]) is None
-
-
-def test_runs_that_went_astray_count_as_the_worst():
-    q1, median, q3 = row("a", [[1.0, float("nan"), 2.0, float("inf"), 3.0]], [0]).quartiles()[:, 0]
-    assert (q1, median) == (2.0, 3.0)
-    assert q3 == np.inf
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,15 @@
 """The searchers behind --optimizer: what they spend, where they search, that they improve, repeat and resume."""
 
-import sys
-from typing import get_args
-
 import numpy as np
 import pytest
-import scipy.optimize
 import torch
 
 import tasks
 from tests.motions import Short
-from torchds.errors import InvalidArgumentError, MissingPackageError
 from torchds.exploration import Homogeneous, TrajectorySpace
 from train.learning.learner import Learner
-from train.options import ConstrainedReachingOptions, DivergentFieldOptions, Optimizer, ViaPointOptions
-from train.searchers.coordinates import Answer, Ask, Brief, CoordinateSearch, Method, root
-from train.searchers.libraries import lockstep
+from train.options import ConstrainedReachingOptions, DivergentFieldOptions, ViaPointOptions
+from train.searchers.coordinates import Ask, Brief, CoordinateSearch, Method, root
 from train.searchers.named import METHODS
 from train.searchers.sampled import SAMPLED
 
@@ -115,10 +109,6 @@ def test_noise_in_the_cost_changes_what_is_learned_and_resumes(task, name):
     assert second.learn().history.cost == whole.history.cost
 
 
-def test_every_name_of_the_option_is_one_optimizer():
-    assert sorted(get_args(Optimizer)) == sorted([*SAMPLED, *METHODS])
-
-
 # ---------------------------------------------------------------------- coordinates
 
 
@@ -156,114 +146,7 @@ def test_gradients_in_z_agree_with_finite_differences(task, exploration):
     torch.testing.assert_close(exact[0], ((ahead - behind) / (2 * h)).mT, rtol=1e-5, atol=1e-7)
 
 
-def test_finite_differences_follow_a_known_gradient():
-    brief = Brief(runs=2, P=3, n_rollouts=5, scale=1.0, seed=0)
-    slope = torch.tensor([[1.0, -2.0, 0.0], [0.0, 3.0, -1.0]], dtype=torch.float64)
-    asking = METHODS["finite_differences"].begin(brief)
-    asked = next(asking)
-    after = asking.send(Answer((slope * asked.z).sum(-1), None)).answer
-    assert torch.equal(after.sign(), -slope.sign())  # the first step of Adam has the same length in all directions
-
-
-def test_the_score_function_gradient_points_up_the_slope():
-    brief = Brief(runs=20, P=6, n_rollouts=200, scale=0.5, seed=0)
-    asking = METHODS["nes"].begin(brief)
-    asked = next(asking)
-    slope = torch.linspace(-1, 1, 6, dtype=torch.float64)
-    step = asking.send(Answer((asked.z * slope).sum(-1), None)).answer
-    assert (step[:, [0, -1]].sign() == torch.tensor([1.0, -1.0])).all()
-
-
-def minimum(name, cost, runs, updates, **options):
-    """What a method recommends for `cost(z)` `(N, runs)` of z `(N, runs, 4)`."""
-    brief = Brief(runs=runs, P=4, n_rollouts=8, scale=1.0, seed=0)
-    asking = METHODS[name].begin(brief)
-    asked = next(asking)
-    for _ in range(updates):
-        z = asked.z.clone().requires_grad_()
-        value = cost(z)
-        (gradient,) = torch.autograd.grad(value[value.isfinite()].sum(), z)
-        asked = asking.send(Answer(value.detach(), gradient if METHODS[name].gradient else None))
-    return asked.answer
-
-
-def bowl(z):
-    """A quadratic whose minimum is elsewhere for each run."""
-    center = torch.arange(z.shape[1], dtype=z.dtype).unsqueeze(-1)
-    return (torch.tensor([1.0, 2.0, 4.0, 8.0], dtype=z.dtype) * (z - center).square()).sum(-1)
-
-
-@pytest.mark.parametrize(("name", "updates", "atol"), [("lbfgs", 60, 1e-6), ("cobyqa", 120, 1e-4), ("cma", 150, 1e-3)])
-def test_libraries_find_the_minimum_of_each_run(name, updates, atol):
-    found = minimum(name, bowl, 3, updates)
-    expected = torch.arange(3, dtype=torch.float64).unsqueeze(-1).expand(3, 4)
-    torch.testing.assert_close(found, expected, rtol=0, atol=atol)
-
-
-def test_cobyqa_tries_what_scipy_tries():
-    tried, expected = [], []
-    minimum("cobyqa", lambda z: tried.append(z[0, 0].detach().numpy()) or bowl(z), 1, 40)
-
-    def cost(z):
-        expected.append(z.copy())
-        return float(bowl(torch.from_numpy(z)[None, None]))
-
-    scipy.optimize.minimize(cost, np.zeros(4), method="COBYQA", options={"maxfev": 40, "final_tr_radius": 1e-8})
-    np.testing.assert_allclose(tried[:35], expected[:35], rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_trials_that_fail_are_survived(name):
-    """Half of the space costs infinity, and one of two minima is there."""
-    found = minimum(name, lambda z: torch.where(z[..., 0] > 0.9, torch.inf, bowl(z)), 2, 60)
-    assert found.isfinite().all()
-    if name in ("lbfgs", "cobyqa"):  # the best point tried
-        assert (found[:, 0] <= 0.9).all()
-
-
-def test_an_error_inside_a_library_comes_out():
-    def minimise(objective, start):
-        objective(start)
-        raise ValueError("no step left")
-
-    asking = lockstep(Brief(2, 3, 5, 1.0, 0), minimise)
-    next(asking)
-    with pytest.raises(ValueError, match="no step left"):
-        asking.send(Answer(torch.zeros(1, 2, dtype=torch.float64), None))
-
-
 # ---------------------------------------------------------------------- what is refused
-
-
-@pytest.mark.parametrize("name", GRADIENTS)
-def test_gradients_are_refused_where_there_are_none(name):
-    class Rigid(tasks.ViaPoint):
-        differentiable = False
-
-    with pytest.raises(
-        InvalidArgumentError, match=f"--optimizer {name} needs the gradient of a trial.*without gradients: pibb"
-    ):
-        learner(Rigid(), name)
-
-
-@pytest.mark.parametrize(("option", "value"), [("decay", "none"), ("temperature", "capped"), ("elite", "best")])
-def test_options_of_sampled_noise_are_refused(task, option, value):
-    with pytest.raises(InvalidArgumentError, match=f"--{option} {value} goes with --optimizer pibb"):
-        learner(task, "adam", **{option: value})
-
-
-def test_shrunk_noise_is_refused(task):
-    with pytest.raises(InvalidArgumentError, match=r"cannot shrink noise; .*--shrink none"):
-        learner(task, "cobyqa", exploration="stable")
-
-
-@pytest.mark.parametrize("name", ["cma", "cobyqa"])
-def test_the_missing_package_is_named(task, name, monkeypatch):
-    monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(
-        MissingPackageError, match=rf"--optimizer {name} needs the package '{name}'.*torchds\[baselines\]"
-    ):
-        learner(task, name)
 
 
 def test_stiffness_is_searched_too():
