@@ -142,10 +142,10 @@ class TrajectorySpace(Exploration):
                 the positions have an extent of their own.
             speed: `mean_speed` as a share of the mean speed.
             stiffness: `mean_stiffness` and `stiffness_spread` as a share of the mean stiffness.
-            goal: see `TrajectorySpace`.
+            goal: `(D,)` x*, to which b stays tied; None for free offsets.
 
         Raises:
-            InvalidArgumentError: see `TrajectorySpace`; also for a policy that does not move.
+            InvalidArgumentError: what `TrajectorySpace` refuses; also a policy that does not move.
         """
         size = motion_size(policy, x0, n_steps, dt)
         sizes: dict[str, Any] = {"mean_speed": speed * size.speed}

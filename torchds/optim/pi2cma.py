@@ -38,7 +38,7 @@ class PI2CMA(PIBB):
 
     Raises:
         InvalidArgumentError: a rate, a bound or an elite that is not allowed, and what `PIBB` refuses.
-        AllRolloutsFailedError: see `PIBB`.
+        AllRolloutsFailedError: from `step`, if no roll-out has a finite cost; the parameters stay as they were.
 
     Example:
         >>> import torch, torchds

@@ -37,7 +37,7 @@ class SurrogatePIBB(PIBB):
 
     Raises:
         InvalidArgumentError: fewer candidates than roll-outs, no memory, and what `PIBB` refuses.
-        AllRolloutsFailedError: see `PIBB`.
+        AllRolloutsFailedError: from `step`, if no roll-out has a finite cost; the parameters stay as they were.
 
     Example:
         >>> import torch, torchds
