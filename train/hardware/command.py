@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class SessionOptions(LwrDiggingOptions):
-    """Those of the training command; fixed is what a robot brings by itself or has no use for."""
+    """The options of the training command, without those that a robot decides by itself or has no use for."""
 
     runs: tyro.conf.Fixed[int] = 1
     elite: tyro.conf.Fixed[Literal["none", "nominal", "best"] | None] = "nominal"
@@ -34,7 +34,7 @@ class Start:
     """Begin a session in a new folder."""
 
     folder: tyro.conf.Positional[Path]
-    """Of the session."""
+    """Where the session keeps its files; it is made."""
     options: tyro.conf.OmitArgPrefixes[tyro.conf.SuppressFixed[SessionOptions]] = field(default_factory=SessionOptions)
 
     def main(self) -> None:
@@ -49,7 +49,7 @@ class InSession:
     """A command to a session that is there."""
 
     folder: tyro.conf.Positional[Path]
-    """Of the session."""
+    """The folder that `start` made."""
 
     def session(self) -> Session:
         """The session, as it was left."""
@@ -64,7 +64,9 @@ class Ask(InSession):
 
     def main(self) -> None:
         """Ask, and say what to do."""
-        print(self.session().ask())
+        session = self.session()
+        print(session.ask())
+        print(session.status().next)
 
 
 @dataclass
@@ -72,11 +74,16 @@ class Tell(InSession):
     """Make the update from the recordings or costs that lie beside the roll-outs."""
 
     missing: Literal["wait", "failed"] = "wait"
-    """What a roll-out is that has not come back. wait: nothing happens before it is there. failed: it counts as failed."""
+    """What to do about roll-outs that have not come back. wait: make no update before they are there. failed: count them as
+    failed."""
 
     def main(self) -> None:
         """Tell, and say what happened."""
-        print(self.session().tell(self.missing))
+        session = self.session()
+        told, status = session.tell(self.missing), session.status()
+        before = f"update {status.done} has been told already" if status.done else "nothing has been asked yet"
+        print(f"{before}; nothing is changed" if told is None else told)
+        print(status.next)
 
 
 @dataclass

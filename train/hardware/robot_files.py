@@ -113,6 +113,30 @@ def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Record
     )
 
 
+def read_recordings(folder: Path, states: Sequence[State], start: Tensor, n_steps: int, dt: float) -> Recorded:
+    """Read the recordings that are there; the robot stands still in those that are not.
+
+    Args:
+        folder: of the update.
+        states: `[N]` what has come back, see `returned`.
+        start: `(3,)` the first pose of the reference.
+        n_steps: T.
+        dt: time step [s].
+
+    Returns:
+        Poses `(N, T+1, 3)` and forces `(N, T, 3)`.
+
+    Raises:
+        DemonstrationFileError: see `read_recording`.
+    """
+    still = Recorded(start.expand(n_steps + 1, 3), start.new_zeros(n_steps, 3))
+    recordings = [
+        read_recording(recording(folder, k), start, n_steps, dt) if state == "there" else still
+        for k, state in enumerate(states, 1)
+    ]
+    return Recorded(*(torch.stack(field) for field in zip(*recordings, strict=True)))
+
+
 def check_times(path: Path, t: np.ndarray, times: np.ndarray) -> None:
     """Refuse sample times `t` that do not cover the motion at `times`.
 
@@ -185,6 +209,11 @@ def returned(folder: Path, n: int) -> list[State]:
         failed = failure(folder, k).exists() or math.isinf(costs.get(k, 0.0))
         states.append("failed" if failed else "there" if recorded or k in costs else "missing")
     return states
+
+
+def reference(folder: Path, k: int) -> Path:
+    """What roll-out k has to follow."""
+    return folder / f"rollout-{k}.csv"
 
 
 def recording(folder: Path, k: int) -> Path:

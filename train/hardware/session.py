@@ -8,7 +8,6 @@ command is given again.
 from __future__ import annotations
 
 import copy
-import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,15 +21,15 @@ from tasks.digging import lwr
 from tasks.digging.simulation import WEIGHING, Recording
 from tasks.digging.task import LwrDigging
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
-from train.folder import POLICY, RunFolder, save_state
+from train.folder import RunFolder, save_state
+from train.hardware.records import Asked, Status, Told, hint
 from train.hardware.robot_files import (
     COSTS,
-    Recorded,
     State,
     failure,
     read_costs,
-    read_recording,
-    recording,
+    read_recordings,
+    reference,
     returned,
     write_reference,
     write_table,
@@ -39,7 +38,6 @@ from train.learning.history import results
 from train.learning.learner import Learner
 from train.learning.run import check
 from train.options import LwrDiggingOptions
-from train.tables import aligned
 
 STATE = "session.pt"
 DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
@@ -139,8 +137,8 @@ class Session:
 
     # ------------------------------------------------------------------ ask
 
-    def ask(self) -> str:
-        """Write the roll-outs of the next update, the same ones until they are told, and say what to do with them.
+    def ask(self) -> Asked:
+        """Write the roll-outs of the next update, the same ones until they are told.
 
         A reference that the arm cannot reach is not written, and marked as failed.
 
@@ -161,28 +159,17 @@ class Session:
         self.update_folder.mkdir(exist_ok=True)
         for k in range(1, self.optim.n_rollouts + 1):  # files
             if possible[k - 1]:
-                file = self.update_folder / f"rollout-{k}.csv"
+                file = reference(self.update_folder, k)
                 write_reference(file, poses[k - 1, 0], path.v[k - 1, 0], stiffness[k - 1, 0], path.dt)
             else:
                 failure(self.update_folder, k).write_text("the reference leaves what the arm reaches\n")
-        return "\n".join(
-            [
-                f"update {self.done + 1} of {self.learner.n_updates}, references in {self.update_folder}: rollout-1.csv is the "
-                f"policy as it is, 2 to {self.optim.n_rollouts} are perturbed",
-                *(f"do not execute roll-out {k}: out of reach" for k in self.numbers(~possible)),
-                self.next(),
-            ]
-        )
-
-    @staticmethod
-    def numbers(where: Tensor) -> list[int]:
-        """The numbers of the roll-outs that `where` marks, from 1."""
-        return (where.flatten().nonzero().flatten() + 1).tolist()
+        out_of_reach = ((~possible).flatten().nonzero().flatten() + 1).tolist()
+        return Asked(self.done + 1, self.learner.n_updates, self.update_folder, self.optim.n_rollouts, out_of_reach)
 
     # ------------------------------------------------------------------ tell
 
-    def tell(self, missing: Literal["wait", "failed"] = "wait") -> str:
-        """Make the update from what came back, and say what happened; without anything asked, change nothing.
+    def tell(self, missing: Literal["wait", "failed"] = "wait") -> Told | None:
+        """Make the update from what came back; None where nothing is asked, and nothing is changed.
 
         Args:
             missing: what a roll-out is that has not come back.
@@ -193,11 +180,11 @@ class Session:
             AllRolloutsFailedError: no roll-out has a cost; the policy stays, and the session can ask again.
         """
         if not self.asked:
-            told = f"update {self.done} has been told already" if self.done else "nothing has been asked yet"
-            return f"{told}; nothing is changed\n{self.next()}"
+            return None
         states = returned(self.update_folder, self.optim.n_rollouts)
         if missing == "wait" and "missing" in states:
-            raise InvalidArgumentError(f"{self.waiting(states)}; nothing is changed. {self.next()}")
+            status = self.status()
+            raise InvalidArgumentError(f"{status.returned}; nothing is changed. {status.next}")
         terms = self.measured(states)
         seen: dict[str, Tensor] = {}
 
@@ -211,7 +198,9 @@ class Session:
         except AllRolloutsFailedError as error:
             self.asked, self.attempt, self.failed = False, self.attempt + 1, self.failed + self.optim.n_rollouts
             self.save()
-            raise AllRolloutsFailedError(f"all roll-outs failed; the policy stays as it is. {self.next()}") from error
+            raise AllRolloutsFailedError(
+                f"all roll-outs failed; the policy stays as it is. {self.status().next}"
+            ) from error
         return self.finish({name: values[:, 0] for name, values in seen.items()}, states)
 
     def measured(self, states: list[State]) -> Callable[[], dict[str, Tensor]]:
@@ -230,13 +219,10 @@ class Session:
 
             return given
 
-        n_steps, dt = task.motion().n_steps, task.dt
-        still = Recorded(task.start.expand(n_steps + 1, 3), task.start.new_zeros(n_steps, 3))
-        records = [
-            read_recording(recording(folder, k), task.start, n_steps, dt) if state == "there" else still
-            for k, state in enumerate(states, 1)
-        ]
-        pose, force = (torch.stack(field).unsqueeze(1) for field in zip(*records, strict=True))
+        dt = task.dt
+        pose, force = (
+            field.unsqueeze(1) for field in read_recordings(folder, states, task.start, task.motion().n_steps, dt)
+        )
         load = force[..., -round(WEIGHING / dt) :, 2].mean(-1)
 
         def terms() -> dict[str, Tensor]:
@@ -261,7 +247,7 @@ class Session:
                 f"{', '.join(sorted(names))} after {', '.join(sorted(before))}"
             )
 
-    def finish(self, terms: dict[str, Tensor], states: list[State]) -> str:
+    def finish(self, terms: dict[str, Tensor], states: list[State]) -> Told:
         """Enter the update into the books, from the cost terms `(N,)` of its roll-outs."""
         last, history = self.optim.last, self.learner.history
         assert last is not None
@@ -276,47 +262,12 @@ class Session:
         history.seconds += states.count("there") * self.options.seconds
         self.failed, self.asked, self.attempt = self.learner.searcher.failed, False, 1
         self.save()
-        bad = f", {self.failed} failed" if self.failed else ""
-        return "\n".join(
-            [
-                f"update {self.done} of {self.learner.n_updates} is made from {len(states)} roll-outs{bad}",
-                aligned(header, rows),
-                self.next(),
-            ]
-        )
+        return Told(self.done, self.learner.n_updates, self.failed, header, rows)
 
     # ------------------------------------------------------------------ status
 
-    def status(self) -> str:
+    def status(self) -> Status:
         """Where the session stands, what it has cost so far, and what comes next."""
-        history = self.learner.history
-        lines = [f"{self.folder}: {self.done} of {self.learner.n_updates} updates made, {self.spent} roll-outs spent"]
-        if history.cost:
-            header = ["after update", *history.terms, "cost", "failed before"]
-            columns = [[row[0] for row in rows] for rows in (*history.terms.values(), history.cost)]
-            rows = [list(row) for row in zip(range(self.done), *columns, history.failed, strict=True)]
-            lines += ["cost of the policy as it was tried:", aligned(header, rows)]
-        if self.asked:
-            lines.append(self.waiting(returned(self.update_folder, self.optim.n_rollouts)))
-        return "\n".join([*lines, self.next()])
-
-    def waiting(self, states: list[State]) -> str:
-        """What has come back of the roll-outs that were asked."""
-        found = {kind: [str(k) for k, state in enumerate(states, 1) if state == kind] for kind in dict.fromkeys(states)}
-        parts = [f"{', '.join(numbers)} {kind}" for kind, numbers in found.items()]
-        return f"update {self.done + 1}, roll-outs in {self.update_folder}: {'; '.join(parts)}"
-
-    def next(self) -> str:
-        """The command to type next."""
-        if not self.asked:
-            finished = f"all updates are made; the policy is in {self.folder / POLICY}"
-            return finished if self.done >= self.learner.n_updates else f"next: {hint('ask', self.folder)}"
-        first = ""
-        if "missing" in returned(self.update_folder, self.optim.n_rollouts):
-            first = f"put recording-<k>.csv, or recording-<k>.failed, or one {COSTS} beside the references, then "
-        return f"next: {first}{hint('tell', self.folder)}"
-
-
-def hint(command: str, folder: Path) -> str:
-    """A command to type."""
-    return f"python -m train hardware {command} {shlex.quote(str(folder))}"
+        folder, history, n = self.update_folder, self.learner.history, self.optim.n_rollouts
+        states = returned(folder, n) if self.asked else None
+        return Status(self.folder, self.done, self.learner.n_updates, self.spent, history, folder, states)

@@ -4,35 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
 
-from train.learning.learner import Learner
-from train.paper.figures.base import learned
-from train.paper.measured.digging import Experiment
+from train.paper.measured.base import Setting
+from train.paper.measured.via_points import SHAPES
 from train.statistics import Values, below, delta, differ, summary
 
 ALPHA = 0.01  # p of a test that shows something
 MEDIUM = 0.33  # Cliff's delta from which an effect is a medium one (Romano et al. 2006)
 
 HELD, IN_PART, NOT_HELD, NOT_MEASURED = "held", "held in part", "not held", "not measured here"
-
-
-class Setting(NamedTuple):
-    """What a measurement is asked for.
-
-    Attributes:
-        runs: learning runs of each sample, in one batch.
-        seed: of the exploration noise.
-        experiment: the digging experiment, finished, begun or not there.
-    """
-
-    runs: int
-    seed: int
-    experiment: Experiment
 
 
 class Check(NamedTuple):
@@ -80,6 +64,11 @@ def verdict(checks: Sequence[Check]) -> str:
         return NOT_MEASURED
     held = [check.holds for check in checks]
     return HELD if all(held) else IN_PART if any(held) else NOT_HELD
+
+
+def each(measure: Callable[[str, Setting], list[Check]]) -> Callable[[Setting], list[Check]]:
+    """The checks of both letters."""
+    return lambda setting: [check for shape in SHAPES for check in measure(shape, setting)]
 
 
 # ------------------------------------------------------------------ checks
@@ -132,24 +121,3 @@ def within(what: str, values: Values | float, low: float = -np.inf, high: float 
     bounds = f"≥ {low:g}" if high == np.inf else f"≤ {high:g}" if low == -np.inf else f"{low:g} to {high:g}"
     text = f"{values[0]:.3g}" if len(values) == 1 else summary(values)
     return Check(f"{what}: {text} (asked for: {bounds})", low <= float(np.median(values)) <= high, len(values))
-
-
-# ------------------------------------------------------------------ learning runs
-
-
-@cache
-def shared(task: str, runs: int, seed: int, **options: Any) -> Learner:
-    """`runs` finished learning runs of a task, learned once for all claims that need them."""
-    return learned(task, runs, seed, **options)
-
-
-def course(learner: Learner, term: str | None = None) -> np.ndarray:
-    """The noise-free cost `(U+1, runs)`, of one term or in total."""
-    history = learner.history
-    return np.asarray(history.cost if term is None else history.terms[term])
-
-
-def early_share(values: np.ndarray) -> np.ndarray:
-    """How much of the fall of `values` `(U+1, runs)` the first quarter of the updates brings `(runs,)`; a line has 0.25."""
-    quarter = (len(values) - 1) // 4
-    return (values[0] - values[quarter]) / (values[0] - values[-1])

@@ -1,4 +1,8 @@
-"""Every claim of the paper, measured: `python -m train claims`."""
+"""Every claim of the paper, measured: `python -m train claims`.
+
+A claim is judged in the file of its section, `claims/via_points.py` to `claims/digging.py`; what it needs is measured in the
+file of the same name in `measured/`.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +19,13 @@ import torchds
 import train
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.folder import Interrupted, versions, write_atomically, write_json
-from train.paper.claims import digging, exploration, impedance, report, via_points
-from train.paper.claims.base import Check, Claim, Setting
+from train.paper.claims import digging, impedance, noise, report, stable, via_points
+from train.paper.claims.base import Check, Claim
+from train.paper.measured.base import Setting
 from train.paper.measured.digging import Experiment
 
-CLAIMS: dict[str, Claim] = {
-    claim.id: claim for claim in (*via_points.CLAIMS, *exploration.CLAIMS, *impedance.CLAIMS, *digging.CLAIMS)
-}
+SECTIONS = (via_points, noise, stable, impedance, digging)
+CLAIMS: dict[str, Claim] = {claim.id: claim for section in SECTIONS for claim in section.CLAIMS}
 
 
 @cache
@@ -56,7 +60,7 @@ class Claims:
     logdir: Path = Path("logs")
     """Where to write: LOGDIR/claims/."""
 
-    def main(self) -> list[report.Row]:
+    def main(self) -> list[report.Judged]:
         """Measure what is missing, write claims.md and claims.csv, print the table, and return its rows.
 
         Raises:
@@ -81,7 +85,7 @@ class Claims:
                 for name in bar:
                     bar.set_postfix_str(name)
                     rows.append(
-                        report.Row(CLAIMS[name], self.checks(CLAIMS[name], setting, folder), self.command(name))
+                        report.Judged(CLAIMS[name], self.checks(CLAIMS[name], setting, folder), self.command(name))
                     )
             except KeyboardInterrupt:
                 raise Interrupted("stopped; the same command continues") from None

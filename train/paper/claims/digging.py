@@ -2,38 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 import numpy as np
 
-from train.folder import RESULTS
-from train.paper.claims.base import Check, Claim, Setting, lower, within
-from train.paper.measured.digging import UNIFORM, Experiment, Terms, best_uniform
+from train.paper.claims.base import Check, Claim, lower, within
+from train.paper.measured.base import Setting
+from train.paper.measured.digging import PAPER, UNIFORM, best_uniform, curves, learned_trials, uniform_trials
 
-PAPER = "as in the paper"  # the learner that the claims are about
 SOFT, STIFF = 150.0, 400.0  # N/m
 BEST = (200.0, 350.0)  # N/m
 SAME = 1.25  # factor up to which forces "do not really increase"
-
-
-def uniform(experiment: Experiment, stiffness: float) -> Terms | None:
-    """Trials of the imitated motion with a uniform stiffness."""
-    return experiment.recorded().get(f"uniform-{stiffness:g}")
-
-
-def learned(experiment: Experiment, start: float) -> Terms | None:
-    """Trials of what was learned from a uniform stiffness."""
-    return experiment.recorded().get(f"{PAPER}-{start:g}")
-
-
-def curves(experiment: Experiment, start: float) -> dict[str, np.ndarray] | None:
-    """The noise-free cost terms `[U+1]` of the learning run, its only one."""
-    path = experiment.place(PAPER, start) / RESULTS
-    if not path.is_file():
-        return None
-    record: dict[str, Any] = json.loads(path.read_text())
-    return {name: np.asarray(values)[:, 0] for name, values in record["terms"].items()}
 
 
 # ------------------------------------------------------------------ uniform stiffness
@@ -41,7 +18,7 @@ def curves(experiment: Experiment, start: float) -> dict[str, np.ndarray] | None
 
 def soft_loads_less(setting: Setting) -> list[Check]:
     """Loads of both uniform stiffnesses."""
-    soft, stiff = (uniform(setting.experiment, s) for s in (SOFT, STIFF))
+    soft, stiff = (uniform_trials(setting.experiment, s) for s in (SOFT, STIFF))
     if soft is None or stiff is None:
         return []
     return [lower("load [N], 150 N/m below 400 N/m", soft["gravel/load"], stiff["gravel/load"])]
@@ -49,7 +26,7 @@ def soft_loads_less(setting: Setting) -> list[Check]:
 
 def soft_is_gentle(setting: Setting) -> list[Check]:
     """Forces and force costs of both."""
-    soft, stiff = (uniform(setting.experiment, s) for s in (SOFT, STIFF))
+    soft, stiff = (uniform_trials(setting.experiment, s) for s in (SOFT, STIFF))
     if soft is None or stiff is None:
         return []
     return [
@@ -81,7 +58,7 @@ def compared(
     setting: Setting, start: float, term: str, what: str, low: float = -np.inf, high: float = np.inf
 ) -> list[Check]:
     """The mean of a figure over trials after learning, over that before it; one learning run, so there is no test of it."""
-    before, after = uniform(setting.experiment, start), learned(setting.experiment, start)
+    before, after = uniform_trials(setting.experiment, start), learned_trials(setting.experiment, start)
     if before is None or after is None:
         return []
     a, b = float(np.mean(before[term])), float(np.mean(after[term]))
@@ -90,7 +67,7 @@ def compared(
 
 def soft_learns_gravel(setting: Setting) -> list[Check]:
     """Loads before and after."""
-    before, after = uniform(setting.experiment, SOFT), learned(setting.experiment, SOFT)
+    before, after = uniform_trials(setting.experiment, SOFT), learned_trials(setting.experiment, SOFT)
     if before is None or after is None:
         return []
     return [lower("load [N], before below after learning", before["gravel/load"], after["gravel/load"])]

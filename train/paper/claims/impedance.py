@@ -7,26 +7,29 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-import tasks
 from tasks import DivergentField
 from torchds.impedance import ImpedanceControlled
-from torchds.plants import Command, PointMass
+from torchds.plants import PointMass
 from torchds.rollouts import Rollout, rollout
-from train.learning.learner import Learner
-from train.paper.claims.base import Check, Claim, Setting, changes, counted, course, early_share, lower, shared, within
-from train.paper.claims.exploration import watched
-from train.paper.figures.base import via_distances
-from train.paper.figures.impedance import final, stiffness_by_half
+from train.paper.claims.base import Check, Claim, changes, counted, lower, within
+from train.paper.measured.base import Setting, course, early_share, via_distances
+from train.paper.measured.impedance import (
+    STEPS,
+    before_learning,
+    divergent,
+    final,
+    half_plane,
+    off_nominal,
+    overshoot,
+    pushed,
+    stiffness_by_half,
+    via_points,
+)
+from train.paper.measured.stable import watched
 
-N_TARGETS, MOVED, LONG = 20, 2.0, 600  # targets; their distance from the old one; steps after the move
+N_TARGETS, MOVED = 20, 2.0  # targets; their distance from the old one
 FORMS: tuple[Literal["implicit"], Literal["explicit"]] = ("implicit", "explicit")
 OVERSHOOT = 0.01  # of a step in the reference
-
-
-def points(task: tasks.Task) -> Tensor:
-    """The one set of via-points."""
-    (found,) = task.scene().via_points.values()
-    return found
 
 
 # ------------------------------------------------------------------ sections 5.1 and 5.2
@@ -45,30 +48,19 @@ def moving_target(setting: Setting) -> list[Check]:
     def shift(t: float) -> Tensor:
         return torch.where(torch.tensor(t < half), torch.zeros_like(targets), targets)
 
-    n_steps = motion.n_steps // 2 + LONG
+    n_steps = motion.n_steps // 2 + STEPS
     x = rollout(learner.policy, motion.x0.expand(N_TARGETS, 2), n_steps, motion.dt, shift=shift).x
-    distance = (x[..., motion.n_steps // 2 :, :] - targets.unsqueeze(-2)).norm(dim=-1)  # (runs, N_TARGETS, LONG + 1)
+    distance = (x[..., motion.n_steps // 2 :, :] - targets.unsqueeze(-2)).norm(dim=-1)  # (runs, N_TARGETS, STEPS + 1)
     nearer = (distance.diff(dim=-1) <= 0).all(-1)
     arrived = distance[..., -1] <= 0.01 * distance[..., 0]
     return [
         counted("motions that come nearer to the new target in every step", int(nearer.sum()), nearer.numel()),
         counted(
-            f"motions that end within 1 % of the distance, {LONG * motion.dt:g} s later",
+            f"motions that end within 1 % of the distance, {STEPS * motion.dt:g} s later",
             int(arrived.sum()),
             arrived.numel(),
         ),
     ]
-
-
-@torch.no_grad()
-def overshoot(plant: ImpedanceControlled, stiffness: Tensor, dt: float) -> Tensor:
-    """How far the plant runs over a unit step of the reference `(N, 1)`; infinite where it diverges."""
-    one, zero = torch.ones_like(stiffness), torch.zeros_like(stiffness)
-    state, highest = plant.reset(zero), zero
-    for i in range(LONG):
-        state = plant.step(state, Command(one, one, zero, zero, stiffness, i * dt, dt))
-        highest = torch.maximum(highest, state.x.nan_to_num(nan=torch.inf))
-    return highest - 1
 
 
 def damping(setting: Setting) -> list[Check]:
@@ -83,18 +75,12 @@ def damping(setting: Setting) -> list[Check]:
 # ------------------------------------------------------------------ the divergent field
 
 
-def divergent(setting: Setting) -> Learner:
-    """The first experiment, learned."""
-    return shared("divergent_field", setting.runs, setting.seed)
-
-
 @torch.no_grad()
 def disturbed(setting: Setting) -> list[Check]:
     """How far reference and point mass are from the nominal path, before learning."""
-    task = tasks.make("divergent_field")
+    task, path = before_learning("divergent_field")
     assert isinstance(task, DivergentField)
-    path = task.rollout(task.policy())
-    reference, actual = ((x[1:, None] - task.nominal()).norm(dim=-1).amin(-1) for x in (path.reference, path.x))
+    reference, actual = (off_nominal(task, x) for x in (path.reference, path.x))
     return [
         within("largest distance of the reference from the nominal path [m]", float(reference.max()), low=0.1),
         within("that of the point mass, over it", float(actual.max() / reference.max()), low=1.1),
@@ -103,7 +89,7 @@ def disturbed(setting: Setting) -> list[Check]:
 
 def falls_of_both(setting: Setting) -> list[Check]:
     """The two costs."""
-    learner = divergent(setting)
+    learner = divergent(setting.runs, setting.seed)
     return [
         changes(f"{term.replace('_', '-')} cost", course(learner, term)[0], course(learner, term)[-1])
         for term in ("stiffness", "via_points")
@@ -113,10 +99,10 @@ def falls_of_both(setting: Setting) -> list[Check]:
 @torch.no_grad()
 def softer_and_closer(setting: Setting) -> list[Check]:
     """Applied stiffness, and distances run by run."""
-    learner = divergent(setting)
+    learner = divergent(setting.runs, setting.seed)
     path, task = final(learner), learner.task
-    before = via_distances(task.rollout(learner.initial).x, points(task)).mean()
-    closer = via_distances(path.x, points(task)).mean(-1) < before
+    before = via_distances(task.rollout(learner.initial).x, via_points(task)).mean()
+    closer = via_distances(path.x, via_points(task)).mean(-1) < before
     assert isinstance(task, DivergentField)
     mean = path.plant.stiffness[..., 1:, :].mean((-2, -1))
     return [
@@ -127,12 +113,12 @@ def softer_and_closer(setting: Setting) -> list[Check]:
 
 def together(setting: Setting) -> list[Check]:
     """Against learning one of the two alone."""
-    both = course(divergent(setting))[-1]
+    both = course(divergent(setting.runs, setting.seed))[-1]
     return [
         lower(
             f"final cost, both below {name} alone",
             both,
-            course(shared("divergent_field", setting.runs, setting.seed, learn=name))[-1],
+            course(divergent(setting.runs, setting.seed, learn=name))[-1],
         )
         for name in ("motion", "stiffness")
     ]
@@ -141,18 +127,12 @@ def together(setting: Setting) -> list[Check]:
 # ------------------------------------------------------------------ the half-plane force
 
 
-def half_plane(setting: Setting, stiffness: str = "diagonal") -> Learner:
-    """The second experiment, learned."""
-    return shared("half_plane_force", setting.runs, setting.seed, stiffness=stiffness)
-
-
 @torch.no_grad()
 def missed(setting: Setting) -> list[Check]:
     """Distance from the reference's path, and from the via-points, without and with the force, before learning."""
-    task = tasks.make("half_plane_force")
-    path = task.rollout(task.policy())
+    task, path = before_learning("half_plane_force")
     away = (path.x[..., None, :] - path.reference[0]).norm(dim=-1).amin(-1).amax(-1)  # of both executions
-    distances = via_distances(path.x, points(task))[:, -2:]
+    distances = via_distances(path.x, via_points(task))[:, -2:]
     return [
         within(
             "without the force, largest distance of the motion from the reference's path [m]", float(away[0]), high=0.3
@@ -166,7 +146,7 @@ def missed(setting: Setting) -> list[Check]:
 
 def profile(setting: Setting) -> list[Check]:
     """Stiffness by axis and half."""
-    learner = half_plane(setting)
+    learner = half_plane(setting.runs, setting.seed)
     inside, outside = stiffness_by_half(final(learner))
     before = 10.0
     return [
@@ -180,14 +160,11 @@ def profile(setting: Setting) -> list[Check]:
 @torch.no_grad()
 def less_deviated(setting: Setting) -> list[Check]:
     """The reference's distances, and the gap between the two executions."""
-    learner = half_plane(setting)
+    learner = half_plane(setting.runs, setting.seed)
     before, after = learner.task.rollout(learner.initial), final(learner)
 
-    def gap(path: Rollout) -> Tensor:
-        return (path.x[..., 1, :, :] - path.x[..., 0, :, :]).norm(dim=-1).amax(-1)
-
     def distance(path: Rollout) -> Tensor:
-        return via_distances(path.reference[..., 0, :, :], points(learner.task)).mean(-1)
+        return via_distances(path.reference[..., 0, :, :], via_points(learner.task)).mean(-1)
 
     return [
         changes(
@@ -195,15 +172,15 @@ def less_deviated(setting: Setting) -> list[Check]:
         ),
         changes(
             "largest distance between the motions with and without the force [m]",
-            float(gap(before)),
-            gap(after).numpy(),
+            float(pushed(before)),
+            pushed(after).numpy(),
         ),
     ]
 
 
 def two_phases(setting: Setting) -> list[Check]:
     """The stiffness cost at a tenth of the updates and at the end, and how soon the via-point cost falls."""
-    learner = half_plane(setting)
+    learner = half_plane(setting.runs, setting.seed)
     cost, via = course(learner, "stiffness"), course(learner, "via_points")
     tenth = (len(cost) - 1) // 10
     return [
@@ -220,7 +197,7 @@ def two_phases(setting: Setting) -> list[Check]:
 
 def diagonal(setting: Setting) -> list[Check]:
     """Final costs."""
-    ours, theirs = (course(half_plane(setting, kind))[-1] for kind in ("diagonal", "isotropic"))
+    ours, theirs = (course(half_plane(setting.runs, setting.seed, kind))[-1] for kind in ("diagonal", "isotropic"))
     return [lower("final cost, diagonal below isotropic", ours, theirs)]
 
 

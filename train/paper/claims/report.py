@@ -19,7 +19,7 @@ SMALLEST = 7  # pairs with which a sign test can reach ALPHA
 MARKS = {True: "+", False: "−"}
 
 
-class Row(NamedTuple):
+class Judged(NamedTuple):
     """A claim with what was measured for it, and how to measure it again."""
 
     claim: Claim
@@ -27,7 +27,7 @@ class Row(NamedTuple):
     command: str
 
 
-def rows_of(row: Row) -> list[dict[str, str]]:
+def rows_of(row: Judged) -> list[dict[str, str]]:
     """One record per check, or one that says that there is none."""
     claim = row.claim
     common = {"id": claim.id, "where": claim.where, "says": claim.says, "rule": claim.rule, "command": row.command}
@@ -47,7 +47,7 @@ def rows_of(row: Row) -> list[dict[str, str]]:
     ]
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
+def write_csv(path: Path, rows: Sequence[Judged]) -> None:
     """One line per check."""
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, restval="")
@@ -69,7 +69,7 @@ def line(check: Check) -> str:
     return f"{MARKS[check.holds]} {check.what}" + (f"; {statistics(check)}" if check.p is not None else "")
 
 
-def tally(rows: Sequence[Row]) -> str:
+def tally(rows: Sequence[Judged]) -> str:
     """How many claims held."""
     counts = Counter(verdict(row.checks) for row in rows)
     return ", ".join(f"{counts[name]} {name}" for name in (HELD, IN_PART, NOT_HELD, NOT_MEASURED) if counts[name])
@@ -82,7 +82,7 @@ def caution(runs: int) -> str:
     return f" With {runs} runs no sign test can reach p < {ALPHA:g}, it takes {SMALLEST}: this is a trial."
 
 
-def terminal(rows: Sequence[Row], runs: int) -> str:
+def terminal(rows: Sequence[Judged], runs: int) -> str:
     """Verdict and claim, each with its checks below."""
     width = max(len(row.claim.id) for row in rows)
     lines = []
@@ -92,7 +92,7 @@ def terminal(rows: Sequence[Row], runs: int) -> str:
     return "\n".join([*lines, f"{tally(rows)}.{caution(runs)}"])
 
 
-def page(rows: Sequence[Row], runs: int, command: str) -> str:
+def page(rows: Sequence[Judged], runs: int, command: str) -> str:
     """The page."""
     n_tests = sum(check.p is not None for row in rows for check in row.checks)
     table = []

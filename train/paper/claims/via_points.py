@@ -2,52 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cache, partial
-
 import numpy as np
 import torch
-from torch import Tensor
 
-import tasks
-from torchds.rollouts import rollout
-from train.learning.learner import Learner
-from train.options import ViaPointOptions
-from train.paper.claims.base import (
-    Check,
-    Claim,
-    Setting,
-    alike,
-    changes,
-    counted,
-    course,
-    early_share,
-    lower,
-    shared,
-    within,
-)
-from train.paper.figures.base import via_distances
-from train.paper.figures.via_points import SHAPES, asymmetry
+from train.paper.claims.base import Check, Claim, alike, changes, counted, each, lower, within
+from train.paper.measured.base import Setting, course, early_share, extent, learned, via_distances
+from train.paper.measured.via_points import asymmetry, letter, uncontrolled
 
 PASSED = 0.02  # of the motion's extent, about the size of a via-point in the figures
 TERMS = ("via_points", "goal", "acceleration")  # of the task's own cost
-
-
-def letter(shape: str, setting: Setting, **options: object) -> Learner:
-    """The via-point task with one letter, learned."""
-    return shared("via_point", setting.runs, setting.seed, shape=shape, **options)
-
-
-def extent(x: Tensor) -> float:
-    """The diagonal of the box around motions `(..., D)`."""
-    points = x.reshape(-1, x.shape[-1])
-    return float((points.amax(0) - points.amin(0)).norm())
-
-
-def each(measure: Callable[[str, Setting], list[Check]]) -> Callable[[Setting], list[Check]]:
-    """The checks of both letters."""
-    return lambda setting: [check for shape in SHAPES for check in measure(shape, setting)]
 
 
 # ------------------------------------------------------------------ Fig. 2
@@ -56,7 +19,7 @@ def each(measure: Callable[[str, Setting], list[Check]]) -> Callable[[Setting], 
 @torch.no_grad()
 def via_points(shape: str, setting: Setting) -> list[Check]:
     """Distances to the via-points."""
-    learner = letter(shape, setting)
+    learner = letter(shape, setting.runs, setting.seed)
     task = learner.task
     (points,) = task.scene().via_points.values()
     first = task.rollout(learner.initial).x
@@ -73,13 +36,13 @@ def via_points(shape: str, setting: Setting) -> list[Check]:
 
 def fast_fall(shape: str, setting: Setting) -> list[Check]:
     """What the first quarter brings."""
-    share = early_share(course(letter(shape, setting), "via_points"))
+    share = early_share(course(letter(shape, setting.runs, setting.seed), "via_points"))
     return [changes(f"{shape}, share of the fall in the first quarter, against one half", 0.5, share, falls=False)]
 
 
 def acceleration(shape: str, setting: Setting) -> list[Check]:
     """The acceleration's course, and the via-points' beside it."""
-    learner = letter(shape, setting)
+    learner = letter(shape, setting.runs, setting.seed)
     cost, via = course(learner, "acceleration"), course(learner, "via_points")
     quarter = (len(cost) - 1) // 4
 
@@ -96,22 +59,14 @@ def acceleration(shape: str, setting: Setting) -> list[Check]:
 
 def trade_off(shape: str, setting: Setting) -> list[Check]:
     """The share of the acceleration."""
-    learner = letter(shape, setting)
+    learner = letter(shape, setting.runs, setting.seed)
     share = course(learner, "acceleration")[-1] / course(learner)[-1]
     return [within(f"{shape}, share of the acceleration in the final cost", share, low=0.1)]
 
 
-@cache
-def uncontrolled(shape: str, runs: int, seed: int) -> Learner:
-    """Learned without a control cost."""
-    task = tasks.make("via_point", shape=shape)
-    task.search = replace(task.search, control_weight=0.0)
-    return Learner(ViaPointOptions(runs=runs, seed=seed, shape="N" if shape == "N" else "P"), task).learn()
-
-
 def control(shape: str, setting: Setting) -> list[Check]:
     """The share of the control cost, and the other terms without it."""
-    with_it, without = letter(shape, setting), uncontrolled(shape, setting.runs, setting.seed)
+    with_it, without = letter(shape, setting.runs, setting.seed), uncontrolled(shape, setting.runs, setting.seed)
     share = course(with_it, "control")[-1] / course(with_it)[-1]
     others = [sum(course(learner, term)[-1] for term in TERMS) for learner in (with_it, without)]
     return [
@@ -125,14 +80,14 @@ def control(shape: str, setting: Setting) -> list[Check]:
 
 def pi2(shape: str, setting: Setting) -> list[Check]:
     """Final costs."""
-    ours, theirs = letter(shape, setting), letter(shape, setting, optimizer="pi2")
+    ours, theirs = letter(shape, setting.runs, setting.seed), letter(shape, setting.runs, setting.seed, optimizer="pi2")
     return [lower(f"{shape}, final cost, PI^BB below PI²", course(ours)[-1], course(theirs)[-1])]
 
 
 @torch.no_grad()
 def two_behaviours(setting: Setting) -> list[Check]:
     """How much the right motion differs from the mirrored left one."""
-    learner = shared("two_starts", setting.runs, setting.seed)
+    learner = learned("two_starts", setting.runs, setting.seed)
     before, after = learner.task.rollout(learner.initial).x, learner.task.rollout(learner.policy).x
     left = extent(before[0])
     apart = float(asymmetry(before))
@@ -149,7 +104,7 @@ def two_behaviours(setting: Setting) -> list[Check]:
 @torch.no_grad()
 def two_sets(setting: Setting) -> list[Check]:
     """Each side's distances to its own via-points."""
-    learner = shared("two_starts", setting.runs, setting.seed)
+    learner = learned("two_starts", setting.runs, setting.seed)
     task = learner.task
     before, after = task.rollout(learner.initial).x, task.rollout(learner.policy).x
     checks = []
@@ -164,39 +119,6 @@ def two_sets(setting: Setting) -> list[Check]:
             counted(f"{side}, via-points passed within {near:.2f}", int(passed.sum()), passed.numel(), 0.9),
         ]
     return checks
-
-
-# ------------------------------------------------------------------ noise and stability of what is learned (section 4)
-
-
-def noise_size(shape: str, setting: Setting) -> list[Check]:
-    """Final costs with a tenth of the noise and with eight times as much."""
-    usual = course(letter(shape, setting))[-1]
-    other = partial(letter, shape, setting)
-    return [
-        lower(f"{shape}, final cost, noise 0.1 below noise {noise}", usual, course(other(noise=noise))[-1])
-        for noise in (0.01, 0.8)
-    ]
-
-
-FAR, SIDE, LONG = 10.0, 10, 4  # extents of the motion; starts along each side of their grid; durations of the motion
-
-
-@torch.no_grad()
-def unstable(shape: str, setting: Setting) -> list[Check]:
-    """Motions of the learned policies from a grid of starts around the demonstrations."""
-    learner = letter(shape, setting)
-    seen = torch.cat([demonstration.x for demonstration in learner.task.demonstrations])
-    low, high = seen.amin(0), seen.amax(0)
-    ticks = torch.linspace(0, 1, SIDE, dtype=seen.dtype)
-    starts = low + torch.cartesian_prod(ticks, ticks) * (high - low)
-    motion = learner.task.motion()
-    end = rollout(learner.policy, starts, LONG * motion.n_steps, motion.dt).x[..., -1, :]
-    diverged = ~((end - learner.task.scene().goal).norm(dim=-1) <= FAR * extent(seen))  # (runs, starts)
-    some = diverged.any(-1)
-    share = 100 * float(diverged.double().mean())
-    what = f"{shape}, learned policies with diverging motions ({share:.0f} % of {len(starts)} starts diverge)"
-    return [counted(what, int(some.sum()), len(some), 0.5)]
 
 
 CLAIMS = (
@@ -256,19 +178,4 @@ CLAIMS = (
         "As for the claim via-points, on each side.",
         two_sets,
     ),
-)
-SIZE = Claim(
-    "noise-size",
-    "4.1",
-    "With too little exploration noise improvement is slow, with too much the trials are poor.",
-    "Noise 0.1, as in the experiments, ends below a tenth and eight times of it, for both letters.",
-    each(noise_size),
-)
-UNSTABLE = Claim(
-    "unconstrained",
-    "4.2",
-    "Without constraints the result is generally an unstable model with diverging motions.",
-    f"At least half of the learned policies have a motion that, from a grid of starts among the demonstrations, is more than "
-    f"{FAR:g} extents away after {LONG} durations.",
-    each(unstable),
 )

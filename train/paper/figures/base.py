@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from torch import Tensor
-
-from train.learning.learner import Learner
-from train.options import TASK_OPTIONS
 
 
 class Made(NamedTuple):
@@ -19,16 +15,6 @@ class Made(NamedTuple):
 
     figure: Figure
     caption: str
-
-
-def learned(task: str, runs: int, seed: int, **options: Any) -> Learner:
-    """`runs` learning runs of a task in one batch, finished."""
-    return Learner(TASK_OPTIONS[task](runs=runs, seed=seed, **options)).learn()
-
-
-def via_distances(x: Tensor, points: Tensor) -> Tensor:
-    """Smallest distance of motions `x` `(..., T+1, D)` to each via-point `(L, D)`, `(..., L)`."""
-    return (x[..., 1:, None, :] - points).norm(dim=-1).amin(-2)
 
 
 def boxes(axes: Axes, samples: Mapping[str, Sequence[float]], ylabel: str) -> None:

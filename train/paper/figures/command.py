@@ -1,4 +1,8 @@
-"""The figures of the paper, made again: `python -m train figures`."""
+"""The figures of the paper, made again: `python -m train figures`.
+
+A figure is drawn in the file of its section, named in the table below; what it shows is measured in the file of the same name
+in `measured/`.
+"""
 
 from __future__ import annotations
 

@@ -8,16 +8,16 @@ from matplotlib.figure import Figure
 from torchds import plotting
 from train.learning.figures import draw_curves
 from train.paper.figures.base import Made
-from train.paper.measured.digging import LEARNERS, STARTS, TRIALS, UNIFORM, Experiment, best_uniform
+from train.paper.measured.digging import SEARCHES, STARTS, TRIALS, UNIFORM, Experiment, best_uniform
 from train.statistics import below
 
-COLORS = dict(zip(LEARNERS, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
-MARKERS = dict(zip(LEARNERS, ("x", "P"), strict=True))
+COLORS = dict(zip(SEARCHES, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
+MARKERS = dict(zip(SEARCHES, ("x", "P"), strict=True))
 
 
 def figure_15(experiment: Experiment) -> Made:
     """The scene, at three times of a learned motion."""
-    learner = experiment.learner("recommended", STARTS[0])
+    learner = experiment.learned("recommended", STARTS[0])
     learner.evaluate()
     assert learner.path is not None
     film = learner.task.film(learner.path, 31)
@@ -41,14 +41,14 @@ def figure_16(experiment: Experiment) -> Made:
     """Learning curves from both stiffnesses, of both learners."""
     figure = Figure(figsize=(14, 10), layout="constrained")
     lines = []
-    for row, learner in zip(figure.subplots(2, 2), LEARNERS, strict=True):
+    for row, search in zip(figure.subplots(2, 2), SEARCHES, strict=True):
         for axes, start in zip(row, STARTS, strict=True):
-            history = experiment.learner(learner, start).history
+            history = experiment.learned(search, start).history
             draw_curves(axes, history)
-            axes.set_title(f"Digging from s⁰ = {start:g} N/m, learner {learner}")
+            axes.set_title(f"Digging from s⁰ = {start:g} N/m, learner {search}")
             first, last = ({name: v[i][0] for name, v in history.terms.items()} for i in (0, -1))
             terms = ", ".join(f"{name} {first[name]:.2f} → {last[name]:.2f}" for name in first if name != "control")
-            lines.append(f"- {learner}, {start:g} N/m: {history.cost[0][0]:.2f} → {history.cost[-1][0]:.2f} ({terms}).")
+            lines.append(f"- {search}, {start:g} N/m: {history.cost[0][0]:.2f} → {history.cost[-1][0]:.2f} ({terms}).")
     return Made(
         figure,
         "Cost of the policy without noise after each update of eight roll-outs, one trial each, by terms; trials of one policy "
@@ -71,22 +71,22 @@ def figure_17(experiment: Experiment) -> Made:
     lines = [
         f"- best uniform stiffness, {best.removeprefix('uniform-')} N/m: {np.mean(lowest):.2f} ± {np.std(lowest, ddof=1):.2f}"
     ]
-    for learner in LEARNERS:
+    for search in SEARCHES:
         for i, start in enumerate(STARTS):
-            values = trials[f"{learner}-{start:g}"]["total"]
+            values = trials[f"{search}-{start:g}"]["total"]
             axes.errorbar(
                 start,
                 np.mean(values),
                 np.std(values, ddof=1),
-                fmt=MARKERS[learner],
+                fmt=MARKERS[search],
                 ms=11,
                 mew=2.5,
                 capsize=4,
-                color=COLORS[learner],
-                label=f"learned, {learner}" if i == 0 else "_nolegend_",
+                color=COLORS[search],
+                label=f"learned, {search}" if i == 0 else "_nolegend_",
             )
             lines.append(
-                f"- learned from {start:g} N/m, {learner}: {np.mean(values):.2f} ± {np.std(values, ddof=1):.2f}, "
+                f"- learned from {start:g} N/m, {search}: {np.mean(values):.2f} ± {np.std(values, ddof=1):.2f}, "
                 f"{'below' if np.mean(values) < mean.min() else 'not below'} every uniform stiffness in the mean; against the "
                 f"best of them Mann-Whitney p = {below(values, lowest):.1e}"
             )

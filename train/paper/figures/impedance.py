@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import torch
 from matplotlib.axes import Axes
@@ -15,36 +13,28 @@ from tasks import DivergentField
 from torchds import GMRPolicy, Rollout, plotting
 from train.learning.figures import draw_curves
 from train.learning.learner import Learner
-from train.paper.figures.base import Made, boxes, learned, via_distances
+from train.paper.figures.base import Made, boxes
+from train.paper.measured.base import via_distances
+from train.paper.measured.impedance import (
+    before_learning,
+    divergent,
+    final,
+    half_plane,
+    off_nominal,
+    pushed,
+    stiffness_by_half,
+    via_points,
+)
 from train.statistics import below, summary
 
 AXES = ("1", "2")
 
 
-@cache
-def divergent(runs: int, seed: int) -> Learner:
-    """The first experiment, learned once for all of its figures."""
-    return learned("divergent_field", runs, seed)
-
-
-@cache
-def half_plane(runs: int, seed: int, stiffness: str) -> Learner:
-    """The second experiment, learned once for all of its figures."""
-    return learned("half_plane_force", runs, seed, stiffness=stiffness)
-
-
-def final(learner: Learner) -> Rollout:
-    """The noise-free roll-out of the learned policies."""
-    assert learner.path is not None
-    return learner.path
-
-
 @torch.no_grad()
 def figure_9(runs: int, seed: int) -> Made:
     """The initial motion in the divergent field."""
-    task = tasks.make("divergent_field")
+    task, path = before_learning("divergent_field")
     assert isinstance(task, DivergentField)
-    path = task.rollout(task.policy())
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     axes = figure.subplots()
     frame(axes, task, path.x, path.reference)
@@ -55,12 +45,11 @@ def figure_9(runs: int, seed: int) -> Made:
     axes.plot(*task.nominal().T, "--", color="#4a4a4a", lw=1.3, label="nominal path (no force)")
     draw_motion(axes, path)
     plotting.finish_map(axes, "Divergent field: before learning", task.scene().unit)
-    away = (path.x[1:, None] - task.nominal()).norm(dim=-1).amin(-1)
     return Made(
         figure,
         "The imitated reference (red) lies beside the nominal path, where the force (grey arrows, 10 N/m times the distance) "
         f"is zero; the point mass (blue), held with the constant stiffness {task.initial_stiffness:g} N/m, is pushed up to "
-        f"{float(away.max()):.2f} m away from that path.",
+        f"{float(off_nominal(task, path.x).max()):.2f} m away from that path.",
     )
 
 
@@ -71,7 +60,7 @@ def figure_10(runs: int, seed: int) -> Made:
     path, history = final(learner), learner.history
     figure = stiffness_figure(learner, path.x, f"Actual motions of {runs} runs after {history.rollouts[-1]} roll-outs")
     before = learner.task.rollout(learner.initial).x
-    (points,) = learner.task.scene().via_points.values()
+    points = via_points(learner.task)
     distance = {name: via_distances(x, points) for name, x in {"before": before, "after": path.x}.items()}
     mean = path.plant.stiffness[..., 1:, :].mean((0, 1))
     return Made(
@@ -90,7 +79,7 @@ def figure_11(runs: int, seed: int) -> Made:
     figure = Figure(figsize=(13, 5), layout="constrained")
     left, right = figure.subplots(1, 2)
     draw_curves(left, learner.history)
-    alone = {name: learned("divergent_field", runs, seed, learn=name).history for name in ("motion", "stiffness")}
+    alone = {name: divergent(runs, seed, learn=name).history for name in ("motion", "stiffness")}
     samples = {"both": learner.history.cost[-1]} | {f"{name} only": h.cost[-1] for name, h in alone.items()}
     boxes(right, samples, f"cost after {learner.history.rollouts[-1]} roll-outs")
     right.set_title("What is learned")
@@ -112,18 +101,16 @@ def figure_11(runs: int, seed: int) -> Made:
 @torch.no_grad()
 def figure_12(runs: int, seed: int) -> Made:
     """The initial motions without and with the half-plane force."""
-    task = tasks.make("half_plane_force")
-    path = task.rollout(task.policy())
+    task, path = before_learning("half_plane_force")
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     axes = figure.subplots()
     frame(axes, task, path.x, path.reference)
     draw_executions(axes, path)
     plotting.finish_map(axes, "Half-plane force: before learning", task.scene().unit)
-    gap = (path.x[1] - path.x[0]).norm(dim=-1)
     return Made(
         figure,
         "Without the force the point mass tracks its reference, through or near the via-points; with the force (shaded half, "
-        f"10 N upwards) it is moved by up to {float(gap.max()):.2f} m, so that the last two via-points are missed.",
+        f"10 N upwards) it is moved by up to {float(pushed(path)):.2f} m, so that the last two via-points are missed.",
     )
 
 
@@ -234,14 +221,3 @@ def draw_stiffness_map(figure: Figure, axes: Axes, policy: GMRPolicy, task: task
     figure.colorbar(image, ax=axes, shrink=0.8, label=f"s{AXES[d]} [N/m]")
     plotting.gaussians(axes, policy)
     plotting.finish_map(axes, f"State-dependent stiffness, axis {AXES[d]}", task.scene().unit)
-
-
-def stiffness_by_half(path: Rollout) -> tuple[Tensor, Tensor]:
-    """Mean applied stiffness `(runs, D)` of each axis where the force can be, and elsewhere, over executions [N/m]."""
-    s = path.plant.stiffness[..., 1:, :]
-    there = (path.plant.x[..., 1:, :1] > -5).to(s)
-
-    def mean(weight: Tensor) -> Tensor:
-        return (s * weight).sum((1, 2)) / weight.sum((1, 2))
-
-    return mean(there), mean(1 - there)

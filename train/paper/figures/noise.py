@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.special
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
 import tasks
-from torchds import GMRPolicy, plotting
+from torchds import plotting
 from torchds.exploration import Exploration, Gaussian, Homogeneous, TrajectorySpace
 from train.paper.figures.base import Made
+from train.paper.measured.noise import perturbed, velocity_noise
 
 N_SAMPLES = 40  # perturbed motions drawn in the lower row
-
-
-def velocity_noise(policy: GMRPolicy, covariance: Tensor, x: Tensor) -> Tensor:
-    """E|ε_v| `(...)` of the velocity noise at `x` `(..., D)`, exact, for a covariance `(P, P)` of θ.
-
-    In two dimensions the mean norm of a normal vector with standard deviations σ₁ ≥ σ₂ is σ₁ √(2/π) E(1 − σ₂²/σ₁²), with
-    the complete elliptic integral E; for σ₁ = σ₂ that is the Rayleigh mean σ √(π/2).
-    """
-    G = policy.basis(x)[..., : policy.output_dim, :]
-    variances = torch.linalg.eigvalsh(G @ covariance @ G.mT).clamp_min(0)  # ascending
-    small, large = variances.unbind(-1)
-    elliptic = scipy.special.ellipe((1 - small / large.clamp_min(1e-300)).numpy())
-    return large.sqrt() * np.sqrt(2 / np.pi) * torch.from_numpy(np.asarray(elliptic))
 
 
 @torch.no_grad()
@@ -62,7 +49,7 @@ def figure_5(runs: int, seed: int) -> Made:
         plotting.finish_map(upper, title, task.scene().unit)
         upper.set_xlim(*xlim)
         upper.set_ylim(*ylim)
-        moved = perturbed(task, policy, exploration, 0.1 if exploration is not along else 1.0, seed)
+        moved = perturbed(task, policy, exploration, 0.1 if exploration is not along else 1.0, N_SAMPLES, seed)
         offset = (moved - path).square().sum(-1).mean(0).sqrt()
         plotting.trajectories(
             lower, moved, color=plotting.AFTER, label=f"{N_SAMPLES} perturbed motions", lw=0.6, alpha=0.5
@@ -86,13 +73,3 @@ def figure_5(runs: int, seed: int) -> Made:
         "that the displacement of the motion is even; it has no desired speed, its map is relative to the median on the "
         "path.\n\n" + "\n".join(lines),
     )
-
-
-def perturbed(task: tasks.Task, policy: GMRPolicy, exploration: Exploration, scale: float, seed: int) -> Tensor:
-    """Motions `(N_SAMPLES, T+1, 2)` under noise of a scale."""
-    generator = torch.Generator().manual_seed(seed)
-    parameters = list(policy.parameters())
-    normals = [scale * torch.randn(N_SAMPLES, *p.shape, generator=generator, dtype=p.dtype) for p in parameters]
-    noise = dict(zip(parameters, exploration(parameters, normals), strict=True))
-    shaken = policy.expand(N_SAMPLES).unpack(policy.pack(lambda p: p + noise[p]))
-    return task.rollout(shaken).x

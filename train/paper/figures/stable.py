@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from torch import Tensor
 
 import tasks
-from torchds import GMRPolicy, costs, plotting
-from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable
-from torchds.exploration.homogeneous import chi_mean
+from torchds import costs, plotting
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
-from train.learning.learner import Learner
-from train.options import ConstrainedReachingOptions
-from train.paper.figures.base import Made, learned
-from train.searchers.base import Closure
+from train.paper.figures.base import Made
+from train.paper.measured.base import learned
+from train.paper.measured.stable import (
+    ALONG,
+    EARLY,
+    FREE,
+    HOMOGENEOUS,
+    LEVELS,
+    SCHEDULED,
+    SHOWN,
+    STABLE,
+    TASK,
+    TIED,
+    Variant,
+    certified,
+    variant,
+)
 from train.statistics import below, quartiles, summary
 from train.tables import markdown
-
-TASK = "constrained_reaching"
-LEVELS = (0.01, 0.02, 0.03, 0.05, 0.1)  # standard deviations of the noise of A [1/s]
-SHOWN = 0.05  # the level of the learning curves
-EARLY = 10  # updates, 100 roll-outs
-STABLE, TIED, FREE, HOMOGENEOUS = "stable", "b tied only", "free A and b", "homogeneous"
-ALONG, SCHEDULED = "stable, along the motion", "stable, same decay and temperature"
 
 
 def figure_6(runs: int, seed: int) -> Made:
@@ -59,7 +60,7 @@ def figure_7(runs: int, seed: int) -> Made:
     marks = [u for u in (0, 5, 10, 20, 40, 100) if u < len(history.cost)]
     course = ", ".join(f"{summary(history.cost[u])} after {history.rollouts[u]}" for u in marks)
     terms = ", ".join(f"{name.replace('_', '-')} {summary(v[-1])}" for name, v in history.terms.items())
-    stable = int(learner.policy.certificate(task.scene().goal, task.P).stable.sum())
+    stable = int(certified(learner).sum())
     colliding = int(task.rollout(learner.policy).stopped.sum())
     return Made(
         figure,
@@ -70,95 +71,22 @@ def figure_7(runs: int, seed: int) -> Made:
     )
 
 
-class Variant(NamedTuple):
-    """What an exploration made of the task, at all levels of noise in one batch.
-
-    Attributes:
-        cost: `(U+1, levels, runs)` of the noise-free policies.
-        stable: `(levels,)` final policies that satisfy the condition.
-        colliding: `(levels,)` final policies that collide.
-        share: `(levels, runs)` of the roll-outs, over the whole learning, that collide.
-    """
-
-    cost: np.ndarray
-    stable: list[int]
-    colliding: list[int]
-    share: np.ndarray
-
-
-def explore(task: tasks.Task, policy: GMRPolicy, name: str, std: Tensor) -> Exploration:
-    """The exploration of a variant, for the standard deviation `(runs,)` of each run of the batch."""
-    goal = task.scene().goal
-    if name in (STABLE, TIED, SCHEDULED):
-        raw = Gaussian([std[:, None, None, None], 0.0])
-        return Stable(policy, raw, goal, task.P, shrink="none" if name == TIED else "all")
-    with torch.no_grad():
-        initial = task.policy()
-        x = task.rollout(initial).x
-        distance = (x - goal).norm(dim=-1)
-        if name == FREE:  # the noise of b is as fast as that of A is on the motion
-            return Gaussian([std[:, None, None, None], (std * x.square().sum(-1).mean().sqrt())[:, None, None]])
-        # As fast, on average over the motion, as tied noise of standard deviation `std`.
-        h = initial.gating(x)
-        speed = chi_mean(2) * (h.square().sum(-1).sqrt() * distance).mean()
-        unit = Homogeneous(initial, mean_speed=1.0).std()
-        features = torch.cat([x.square(), torch.ones_like(x[:, :1])], -1)[:, None]  # (T+1, 1, 3)
-        variances = torch.cat([unit["A"][:, 0], unit["b"][:, :1]], -1)  # (K, 3), alike for both outputs
-        unit_speed = chi_mean(2) * (h.square() * (features * variances.square()).sum(-1)).sum(-1).sqrt().mean()
-        factor = std * speed / unit_speed
-        return Gaussian([factor[:, None, None, None] * unit["A"], factor[:, None, None] * unit["b"]])
-
-
-def learn(task: tasks.Task, name: str, runs: int, seed: int) -> Variant:
-    """All levels of a variant, `runs` runs each."""
-    levels = (SHOWN,) if name in (ALONG, SCHEDULED) else LEVELS
-    options: dict[str, Any] = {"exploration": "stable-trajectory"} if name == ALONG else {}
-    if name == SCHEDULED:
-        options = {"temperature": "capped", "decay": "exponential"}
-    std = torch.tensor(levels, dtype=torch.float64).repeat_interleave(runs)
-    collisions = []
-
-    def watch(closure: Closure, learner: Learner) -> Closure:
-        def watched() -> Tensor:
-            path = task.rollout(learner.policy)
-            collisions.append(path.stopped.double().mean(0))
-            return task.cost(path)
-
-        return watched
-
-    learner = Learner(
-        ConstrainedReachingOptions(runs=len(levels) * runs, seed=seed, **options),
-        task,
-        wrap=watch,
-        exploration=None if name == ALONG else lambda task, policy: explore(task, policy, name, std),
-    ).learn()
-    by_level = (len(levels), runs)
-    certificate = learner.policy.certificate(task.scene().goal, task.P)
-    return Variant(
-        np.asarray(learner.history.cost).reshape(-1, *by_level),
-        certificate.stable.reshape(by_level).sum(-1).tolist(),
-        task.rollout(learner.policy).stopped.reshape(by_level).sum(-1).tolist(),
-        torch.stack(collisions).mean(0).reshape(by_level).numpy(),
-    )
-
-
 def figure_8(runs: int, seed: int) -> Made:
     """Learning curves with and without the constraint, at several levels of noise."""
     names = (STABLE, TIED, FREE, HOMOGENEOUS, ALONG, SCHEDULED)
-    task = tasks.make(TASK)
-    variants = {name: learn(task, name, runs, seed) for name in names}
+    variants = {name: variant(name, runs, seed) for name in names}
     figure = Figure(figsize=(14, 5.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     colors = dict(zip(names, ("#1f5fa8", "#4bb3c2", plotting.AFTER, "#8d6cc3", "#2a9d5c", "#c98a1b"), strict=True))
     styles = {FREE: "--", TIED: ":"}
-    for name, variant in variants.items():
-        level = LEVELS.index(SHOWN) if variant.cost.shape[1] > 1 else 0
-        q1, median, q3 = quartiles(variant.cost[:, level], axis=-1)
+    for name, found in variants.items():
+        level = LEVELS.index(SHOWN) if found.cost.shape[1] > 1 else 0
+        q1, median, q3 = quartiles(found.cost[:, level], axis=-1)
         rollouts = 10 * np.arange(len(median))
         left.plot(rollouts, median, color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
         left.fill_between(rollouts, q1, q3, color=colors[name], alpha=0.12, lw=0)
-        if variant.cost.shape[1] > 1:
-            q1, median, q3 = quartiles(variant.cost[-1], axis=-1)
+        if found.cost.shape[1] > 1:
+            q1, median, q3 = quartiles(found.cost[-1], axis=-1)
             right.plot(LEVELS, median, "o", color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
             right.fill_between(LEVELS, q1, q3, color=colors[name], alpha=0.12, lw=0)
     left.set_xlabel("roll-outs")

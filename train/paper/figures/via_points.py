@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from matplotlib.figure import Figure
-from torch import Tensor
 
 import tasks
 from train.learning.figures import draw_curves, draw_imitated, draw_learned
-from train.paper.figures.base import Made, boxes, learned
+from train.paper.figures.base import Made, boxes
+from train.paper.measured.base import learned
+from train.paper.measured.via_points import SHAPES, asymmetry, letter
 from train.statistics import below, summary
-
-SHAPES = ("N", "P")
 
 
 def figure_1(runs: int, seed: int) -> Made:
@@ -33,7 +32,7 @@ def figure_2(runs: int, seed: int) -> Made:
     figure = Figure(figsize=(13, 11), layout="constrained")
     lines = []
     for row, shape in zip(figure.subplots(2, 2), SHAPES, strict=True):
-        learner = learned("via_point", runs, seed, shape=shape)
+        learner = letter(shape, runs, seed)
         draw_learned(row[0], learner)
         draw_curves(row[1], learner.history)
         history = learner.history
@@ -55,7 +54,7 @@ def figure_3(runs: int, seed: int) -> Made:
     lines = []
     for axes, shape in zip(figure.subplots(1, 2), SHAPES, strict=True):
         final = {
-            label: learned("via_point", runs, seed, shape=shape, optimizer=name).history.cost[-1]
+            label: letter(shape, runs, seed, optimizer=name).history.cost[-1]
             for label, name in {"PI²": "pi2", "PI^BB": "pibb"}.items()
         }
         boxes(axes, final, "cost after 50 updates")
@@ -89,9 +88,3 @@ def figure_4(runs: int, seed: int) -> Made:
         f"the right motion and the mirrored left one {float(asymmetry(before)):.3g} → "
         f"{summary(asymmetry(after).tolist())}.",
     )
-
-
-def asymmetry(x: Tensor) -> Tensor:
-    """Mean distance `(*batch)` between the right motion and the mirror image of the left one, `x` `(*batch, 2, T+1, 2)`."""
-    mirrored = x[..., 0, :, :] * x.new_tensor([-1.0, 1.0])
-    return (x[..., 1, :, :] - mirrored).norm(dim=-1).mean(-1).detach()

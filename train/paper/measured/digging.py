@@ -22,8 +22,9 @@ from train.learning.run import run
 from train.options import LwrDiggingOptions
 
 STARTS = (150.0, 400.0)  # N/m
-LEARNERS: dict[str, dict[str, Any]] = {
-    "as in the paper": {"optimizer": "pibb", "exploration": "homogeneous"},
+PAPER = "as in the paper"  # the learner that the claims are about
+SEARCHES: dict[str, dict[str, Any]] = {
+    PAPER: {"optimizer": "pibb", "exploration": "homogeneous"},
     "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
 }
 UNIFORM = (75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
@@ -46,28 +47,28 @@ class Experiment:
         self.folder, self.seed = folder, seed
         self.options = options if options is not None else LwrDiggingOptions()
 
-    def place(self, learner: str, start: float) -> Path:
-        """Where one learning run stands."""
-        return self.folder / f"{LEARNERS[learner]['optimizer']}-{start:g}"
+    def run_folder(self, search: str, start: float) -> RunFolder:
+        """Where one learning run stands, or would stand."""
+        return RunFolder(self.folder / f"{SEARCHES[search]['optimizer']}-{start:g}")
 
     def recorded(self) -> dict[str, Terms]:
         """The trials that are there."""
         path = self.folder / TRIALS_FILE
         return json.loads(path.read_text())["trials"] if path.is_file() else {}
 
-    def learned(self, learner: str, start: float) -> RunFolder:
-        """The folder of one learning run, which is made, continued or found finished."""
-        folder = RunFolder(self.place(learner, start))
-        options = replace(self.options, **LEARNERS[learner], initial_stiffness=start, seed=self.seed)
+    def finish(self, search: str, start: float) -> RunFolder:
+        """Make, continue or find finished one learning run; returns its folder."""
+        folder = self.run_folder(search, start)
+        options = replace(self.options, **SEARCHES[search], initial_stiffness=start, seed=self.seed)
         if not folder.has(OPTIONS):
             folder.begin(options.task, options.to_json())
         if not folder.has(RESULTS):
             run(replace(options, resume=folder.path))
         return folder
 
-    def learner(self, learner: str, start: float) -> Learner:
-        """The finished run, as an object."""
-        folder = self.learned(learner, start)
+    def learned(self, search: str, start: float) -> Learner:
+        """One learning run, finished."""
+        folder = self.finish(search, start)
         finished = Learner(folder.options())
         folder.restore(finished)
         return finished
@@ -75,12 +76,12 @@ class Experiment:
     def trials(self) -> dict[str, Terms]:
         """Costs of TRIALS trials `[TRIALS]` by term, "total" among them, of every uniform stiffness and learned policy."""
         measured = self.recorded()
-        runs = {f"{learner}-{start:g}": (learner, start) for learner in LEARNERS for start in STARTS}
+        runs = {f"{search}-{start:g}": (search, start) for search in SEARCHES for start in STARTS}
         wanted = [f"uniform-{s:g}" for s in UNIFORM] + list(runs)
         for name in tqdm([name for name in wanted if name not in measured], desc="trials", unit="policy"):
             if name in runs:
-                learner, start = runs[name]
-                measured[name] = self.measure(start, self.learner(learner, start).policy[0])
+                search, start = runs[name]
+                measured[name] = self.measure(start, self.learned(search, start).policy[0])
             else:
                 measured[name] = self.measure(float(name.removeprefix("uniform-")), None)
             write_json(self.folder / TRIALS_FILE, {"trials": measured, "versions": versions()})
@@ -99,3 +100,21 @@ class Experiment:
 def best_uniform(trials: dict[str, Terms]) -> str:
     """The name of the uniform stiffness with the lowest mean cost."""
     return min((name for name in trials if name.startswith("uniform")), key=lambda name: np.mean(trials[name]["total"]))
+
+
+def uniform_trials(experiment: Experiment, stiffness: float) -> Terms | None:
+    """Trials of the imitated motion with a uniform stiffness [N/m]; None where they are not there."""
+    return experiment.recorded().get(f"uniform-{stiffness:g}")
+
+
+def learned_trials(experiment: Experiment, start: float) -> Terms | None:
+    """Trials of what the paper's learner made of a uniform stiffness [N/m]; None where they are not there."""
+    return experiment.recorded().get(f"{PAPER}-{start:g}")
+
+
+def curves(experiment: Experiment, start: float) -> dict[str, np.ndarray] | None:
+    """The noise-free cost terms `(U+1,)` of the paper's learner from a uniform stiffness; None where they are not there."""
+    folder = experiment.run_folder(PAPER, start)
+    if not folder.has(RESULTS):
+        return None
+    return {name: np.asarray(values)[:, 0] for name, values in folder.results()["terms"].items()}

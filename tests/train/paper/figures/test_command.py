@@ -9,8 +9,9 @@ import pytest
 from matplotlib.image import imread
 
 from torchds.errors import InvalidArgumentError
-from train.paper.figures import impedance
 from train.paper.figures.command import FIGURES, Figures
+from train.paper.measured import stable
+from train.paper.measured.base import learned
 
 ROOT = Path(__file__).parents[4]
 LEARNED = {2: 2, 3: 4, 4: 1, 10: 1, 11: 3, 13: 1, 14: 2}  # figure -> learning batches behind it
@@ -19,17 +20,17 @@ LEARNED = {2: 2, 3: 4, 4: 1, 10: 1, 11: 3, 13: 1, 14: 2}  # figure -> learning b
 @pytest.fixture
 def quick(monkeypatch):
     """Two updates, whatever the task says; returns the tasks that were learned."""
-    learned = []
+    asked = []
 
-    def two(options, task):
-        learned.append(options.task)
+    def two(options, *_):
+        asked.append(options.task)
         return 2
 
     monkeypatch.setattr("train.learning.learner.n_updates", two)
-    for kept in (impedance.divergent, impedance.half_plane):
+    for kept in (learned, stable.variant):
         kept.cache_clear()
-    yield learned
-    for kept in (impedance.divergent, impedance.half_plane):
+    yield asked
+    for kept in (learned, stable.variant):
         kept.cache_clear()
 
 
