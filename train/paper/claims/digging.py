@@ -17,7 +17,7 @@ SAME = 1.25  # factor up to which forces "do not really increase"
 
 
 def soft_loads_less(setting: Setting) -> list[Check]:
-    """Loads of both uniform stiffnesses."""
+    """Loads with a soft and with a stiff uniform stiffness."""
     soft, stiff = (uniform_trials(setting.experiment, s) for s in (SOFT, STIFF))
     if soft is None or stiff is None:
         return []
@@ -25,7 +25,7 @@ def soft_loads_less(setting: Setting) -> list[Check]:
 
 
 def soft_is_gentle(setting: Setting) -> list[Check]:
-    """Forces and force costs of both."""
+    """Forces and force costs with a soft and with a stiff uniform stiffness."""
     soft, stiff = (uniform_trials(setting.experiment, s) for s in (SOFT, STIFF))
     if soft is None or stiff is None:
         return []
@@ -36,7 +36,7 @@ def soft_is_gentle(setting: Setting) -> list[Check]:
 
 
 def best_between(setting: Setting) -> list[Check]:
-    """Where the lowest mean cost is."""
+    """The uniform stiffness that has the lowest mean cost."""
     trials = setting.experiment.recorded()
     if any(f"uniform-{s:g}" not in trials for s in UNIFORM):
         return []
@@ -66,7 +66,7 @@ def compared(
 
 
 def soft_learns_gravel(setting: Setting) -> list[Check]:
-    """Loads before and after."""
+    """Loads before and after learning from a soft stiffness."""
     before, after = uniform_trials(setting.experiment, SOFT), learned_trials(setting.experiment, SOFT)
     if before is None or after is None:
         return []
@@ -92,7 +92,7 @@ def dip_and_recovery(setting: Setting) -> list[Check]:
 
 
 def below_uniform(setting: Setting) -> list[Check]:
-    """Against the best uniform stiffness, hence against all."""
+    """Costs of what was learned against those of the best uniform stiffness, hence of all of them."""
     trials = setting.experiment.recorded()
     names = {start: f"{PAPER}-{start:g}" for start in (SOFT, STIFF)}
     if any(name not in trials for name in (*names.values(), *(f"uniform-{s:g}" for s in UNIFORM))):

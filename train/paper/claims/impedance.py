@@ -64,7 +64,7 @@ def moving_target(setting: Setting) -> list[Check]:
 
 
 def damping(setting: Setting) -> list[Check]:
-    """Overshoot at constant stiffnesses, all at once."""
+    """Overshoot over a step of the reference, at 41 constant stiffnesses."""
     stiffness = torch.logspace(-1, 3, 41, dtype=torch.float64)[:, None]  # what the force-field tasks allow
     mass = PointMass(mass=1.0, damping=0.0)
     good = [int((overshoot(ImpedanceControlled(mass, form=form), stiffness, 0.1) <= OVERSHOOT).sum()) for form in FORMS]
@@ -88,7 +88,7 @@ def disturbed(setting: Setting) -> list[Check]:
 
 
 def falls_of_both(setting: Setting) -> list[Check]:
-    """The two costs."""
+    """Stiffness cost and via-point cost, before learning and after it."""
     learner = divergent(setting.runs, setting.seed)
     return [
         changes(f"{term.replace('_', '-')} cost", course(learner, term)[0], course(learner, term)[-1])
@@ -98,7 +98,7 @@ def falls_of_both(setting: Setting) -> list[Check]:
 
 @torch.no_grad()
 def softer_and_closer(setting: Setting) -> list[Check]:
-    """Applied stiffness, and distances run by run."""
+    """The stiffness applied along the motion, and run by run the distance to the via-points."""
     learner = divergent(setting.runs, setting.seed)
     path, task = final(learner), learner.task
     before = via_distances(task.rollout(learner.initial).x, via_points(task)).mean()
@@ -112,7 +112,7 @@ def softer_and_closer(setting: Setting) -> list[Check]:
 
 
 def together(setting: Setting) -> list[Check]:
-    """Against learning one of the two alone."""
+    """Final costs of learning motion and stiffness, against learning one of them alone."""
     both = course(divergent(setting.runs, setting.seed))[-1]
     return [
         lower(
@@ -145,7 +145,7 @@ def missed(setting: Setting) -> list[Check]:
 
 
 def profile(setting: Setting) -> list[Check]:
-    """Stiffness by axis and half."""
+    """Applied stiffness of each axis, in the half with the force and in the other, before learning and after it."""
     learner = half_plane(setting.runs, setting.seed)
     inside, outside = stiffness_by_half(final(learner))
     before = 10.0
@@ -196,7 +196,7 @@ def two_phases(setting: Setting) -> list[Check]:
 
 
 def diagonal(setting: Setting) -> list[Check]:
-    """Final costs."""
+    """Final costs with diagonal stiffness against those with isotropic stiffness."""
     ours, theirs = (course(half_plane(setting.runs, setting.seed, kind))[-1] for kind in ("diagonal", "isotropic"))
     return [lower("final cost, diagonal below isotropic", ours, theirs)]
 

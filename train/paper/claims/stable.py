@@ -25,7 +25,7 @@ DRAWS = 20_000
 
 
 def stable_trials(setting: Setting) -> list[Check]:
-    """Certificates of all roll-outs."""
+    """Certificates of all roll-outs of all updates."""
     return [counted("roll-outs of all updates that satisfy the condition", *watched(setting.runs, setting.seed).tried)]
 
 

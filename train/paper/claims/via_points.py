@@ -18,7 +18,7 @@ TERMS = ("via_points", "goal", "acceleration")  # of the task's own cost
 
 @torch.no_grad()
 def via_points(shape: str, setting: Setting) -> list[Check]:
-    """Distances to the via-points."""
+    """Whether the motions come nearer to the via-points, and pass them."""
     learner = letter(shape, setting.runs, setting.seed)
     task = learner.task
     (points,) = task.scene().via_points.values()
@@ -35,13 +35,13 @@ def via_points(shape: str, setting: Setting) -> list[Check]:
 
 
 def fast_fall(shape: str, setting: Setting) -> list[Check]:
-    """What the first quarter brings."""
+    """How much of the fall of the via-point cost the first quarter of the updates brings."""
     share = early_share(course(letter(shape, setting.runs, setting.seed), "via_points"))
     return [changes(f"{shape}, share of the fall in the first quarter, against one half", 0.5, share, falls=False)]
 
 
 def acceleration(shape: str, setting: Setting) -> list[Check]:
-    """The acceleration's course, and the via-points' beside it."""
+    """Whether the acceleration cost rises, and more slowly than the via-point cost falls."""
     learner = letter(shape, setting.runs, setting.seed)
     cost, via = course(learner, "acceleration"), course(learner, "via_points")
     quarter = (len(cost) - 1) // 4
@@ -58,14 +58,14 @@ def acceleration(shape: str, setting: Setting) -> list[Check]:
 
 
 def trade_off(shape: str, setting: Setting) -> list[Check]:
-    """The share of the acceleration."""
+    """The share of the acceleration in the final cost."""
     learner = letter(shape, setting.runs, setting.seed)
     share = course(learner, "acceleration")[-1] / course(learner)[-1]
     return [within(f"{shape}, share of the acceleration in the final cost", share, low=0.1)]
 
 
 def control(shape: str, setting: Setting) -> list[Check]:
-    """The share of the control cost, and the other terms without it."""
+    """The share of the control cost in the final cost, and the other terms learned without it."""
     with_it, without = letter(shape, setting.runs, setting.seed), uncontrolled(shape, setting.runs, setting.seed)
     share = course(with_it, "control")[-1] / course(with_it)[-1]
     others = [sum(course(learner, term)[-1] for term in TERMS) for learner in (with_it, without)]
@@ -79,7 +79,7 @@ def control(shape: str, setting: Setting) -> list[Check]:
 
 
 def pi2(shape: str, setting: Setting) -> list[Check]:
-    """Final costs."""
+    """Final costs of PI^BB against those of PI²."""
     ours, theirs = letter(shape, setting.runs, setting.seed), letter(shape, setting.runs, setting.seed, optimizer="pi2")
     return [lower(f"{shape}, final cost, PI^BB below PI²", course(ours)[-1], course(theirs)[-1])]
 
