@@ -127,7 +127,7 @@ def read_recordings(folder: Path, states: Sequence[State], start: Tensor, n_step
         Poses `(N, T+1, 3)` and forces `(N, T, 3)`.
 
     Raises:
-        DemonstrationFileError: see `read_recording`.
+        FileError: see `read_recording`.
     """
     still = Recorded(start.expand(n_steps + 1, 3), start.new_zeros(n_steps, 3))
     recordings = [
