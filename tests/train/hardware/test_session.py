@@ -237,7 +237,7 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
             r"nothing between 0\.192 and 0\.392 s",
         ),
         (lambda good: "", "no header"),
-        (lambda good: good.splitlines()[0], "0 sample"),
+        (lambda good: good.splitlines()[0], "at least two samples are needed, got 0"),
     ],
     ids=["unit", "column", "short", "long", "nan", "time", "gap", "empty", "header alone"],
 )
