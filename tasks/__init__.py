@@ -1,67 +1,53 @@
-"""Tasks: what to learn, behind one small interface, found by name."""
+"""Tasks: what to learn, behind one small interface, found by name or by the place where they stand."""
 
 from __future__ import annotations
 
-import inspect
-from typing import Any
-
-from tasks.base import Motion as Motion
-from tasks.base import Scene as Scene
-from tasks.base import SearchSettings as SearchSettings
 from tasks.base import Task as Task
 from tasks.constrained_reaching import ConstrainedReaching as ConstrainedReaching
 from tasks.force_fields.divergent import DivergentField as DivergentField
 from tasks.force_fields.half_plane import HalfPlaneForce as HalfPlaneForce
+from tasks.registry import TASKS as TASKS
+from tasks.registry import make as make
+from tasks.registry import options_of as options_of
+from tasks.registry import register as register
+from tasks.registry import task_class as task_class
+from tasks.released.constrained_reaching import ReleasedConstrainedReaching
+from tasks.released.force_fields import ReleasedDivergentField, ReleasedHalfPlaneForce
+from tasks.released.two_starts import ReleasedTwoStarts
+from tasks.released.via_point import ReleasedViaPoint
+from tasks.settings import Motion as Motion
+from tasks.settings import Scene as Scene
+from tasks.settings import SearchSettings as SearchSettings
 from tasks.two_starts import TwoStarts as TwoStarts
 from tasks.via_point import ViaPoint as ViaPoint
-from torchds.errors import InvalidArgumentError, UnknownNameError
 
-TASKS: dict[str, type[Task]] = {
-    "via_point": ViaPoint,
-    "two_starts": TwoStarts,
-    "divergent_field": DivergentField,
-    "half_plane_force": HalfPlaneForce,
-    "constrained_reaching": ConstrainedReaching,
+for _paper, _released in (
+    (ViaPoint, ReleasedViaPoint),
+    (TwoStarts, ReleasedTwoStarts),
+    (DivergentField, ReleasedDivergentField),
+    (HalfPlaneForce, ReleasedHalfPlaneForce),
+    (ConstrainedReaching, ReleasedConstrainedReaching),
+):
+    register(_paper)
+    register(_released)
+
+PROBLEMS: dict[str, tuple[str, dict[str, str]]] = {
+    "via_point-N": ("via_point", {"shape": "N"}),
+    "via_point-P": ("via_point", {"shape": "P"}),
+    **{name: (name, {}) for name in TASKS if name != "via_point"},
 }
+"""What can be learned and compared, by name: the task, and options of `make`."""
 
-
-NAMES = (*TASKS, "lwr_digging")
-"""All tasks; the digging task needs its extra, and is imported when it is asked for."""
-
-
-def task_class(name: str) -> type[Task]:
-    """The class of the task `name`.
-
-    Raises:
-        UnknownNameError: no task of this name; the message lists them.
-        MissingPackageError: the task needs an extra that is not installed.
-    """
-    if name not in NAMES:
-        raise UnknownNameError("task", name, NAMES)
-    if name == "lwr_digging":
-        from tasks.digging.task import LwrDigging
-
-        return LwrDigging
-    return TASKS[name]
-
-
-def make(name: str, **options: Any) -> Task:
-    """Build the task `name` with its own options.
-
-    Raises:
-        UnknownNameError: no task of this name; the message lists them.
-        MissingPackageError: the task needs an extra that is not installed.
-        InvalidArgumentError: an option that the task does not have, or a value that it does not allow.
-    """
-    cls = task_class(name)
-    allowed = inspect.signature(cls).parameters
-    if strangers := sorted(set(options) - set(allowed)):
-        raise InvalidArgumentError(f"task {name!r} has no option {', '.join(strangers)}; it has {', '.join(allowed)}")
-    return cls(**options)
-
+ENVIRONMENTS = {
+    "".join(word[:1].upper() + word[1:] for word in name.replace("-", "_").split("_")): problem
+    for name, problem in PROBLEMS.items()
+    if name != "lwr_digging"  # its roll-outs cannot be made step by step
+}
+"""The problems as Gymnasium environments (`tasks.gym`): via_point-N is ViaPointN."""
 
 __all__ = [
-    "NAMES",
+    "ENVIRONMENTS",
+    "PROBLEMS",
     "TASKS",
     "ConstrainedReaching",
     "DivergentField",
@@ -73,5 +59,7 @@ __all__ = [
     "TwoStarts",
     "ViaPoint",
     "make",
+    "options_of",
+    "register",
     "task_class",
 ]

@@ -2,134 +2,99 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Generic, TypeVar, dataclass_transform
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from tasks.settings import Convention, Motion, Numbers, Scene, SearchSettings
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
-from torchds.errors import InvalidArgumentError
-from torchds.exploration import Homogeneous
-from torchds.optim.functional import Temperature
 from torchds.plants import Plant
 from torchds.rollouts import StopCondition
 
-Convention = Literal["paper", "released"]
+T = TypeVar("T")
+
+FLOOR = 1e-6
+SPEED, SLOPE, STIFFNESS, CONTROL = 0.12, 0.05, 0.1, 0.1
+"""Shares of `Task.numbers`, of the size of what the paper's constants are on its own tasks."""
 
 
-class Motion(NamedTuple):
-    """Where a motion begins, and for how long it goes on: `rollout(policy, *motion)`.
+class Given(Generic[T]):
+    """A field that is given as an object or as the path of one; the task makes its own where nothing is given.
 
-    Attributes:
-        x0: `(*points, D)` the starts.
-        n_steps: T.
-        dt: time step [s].
+    Args:
+        read: what reads a file.
+        make: what makes the task's own, when it is first needed.
     """
 
-    x0: Tensor
-    n_steps: int
-    dt: float
+    def __init__(self, read: Callable[[Path], T], make: Callable[[Task], T]) -> None:
+        self.read, self.make = read, make
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.given, self.used = f"given_{name}", f"_{name}"
+
+    def __set__(self, task: Task, value: T | str | Path | None) -> None:
+        found = self.read(Path(value)) if isinstance(value, (str, Path)) else value
+        task.__dict__.update({self.given: found, self.used: found})
+
+    def __get__(self, task: Task | None, owner: type) -> T:
+        if task is None:
+            return None  # type: ignore[return-value] # the default of the field
+        if task.__dict__[self.used] is None:
+            task.__dict__[self.used] = self.make(task)
+        return task.__dict__[self.used]
 
 
-@dataclass(frozen=True)
-class SearchSettings:
-    """What a task proposes to whoever searches: the paper's numbers, as defaults.
-
-    Attributes:
-        n_updates: policy updates.
-        n_rollouts: N, roll-outs per update.
-        control_weight: r of the control cost r I.
-        mean_speed: of the homogeneous exploration [velocity unit of the task].
-        homogeneous: the homogeneous exploration, made with `(policy, mean_speed, mean_stiffness=)`.
-        std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
-        spread: of the exploration along the motion [unit of each output]; None for a share of the motion, as all that
-            belongs to it then (see `TrajectorySpace.relative`).
-        mean_stiffness: of the noise in each stiffness row [N/m].
-        stiffness_spread: of the exploration along the motion, in the stiffness [N/m].
-        temperature: the spread of costs that scales the weights.
-        decay: of the exploration.
-        elite: what the first roll-out of an update is (see `PIBB`).
-    """
-
-    n_updates: int = 50
-    n_rollouts: int = 10
-    control_weight: float = 5e-4
-    mean_speed: float = 0.1
-    homogeneous: type[Homogeneous] = Homogeneous
-    std: float = 0.01
-    spread: tuple[float, ...] | None = None
-    mean_stiffness: float = 0.0
-    stiffness_spread: float | None = None
-    temperature: Temperature = "range"
-    decay: Literal["inverse", "linear", "exponential", "none"] = "inverse"
-    elite: Literal["none", "nominal", "best"] = "none"
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What there is to see in a task, for figures.
-
-    Attributes:
-        starts: `(S, D)`.
-        goal: `(D,)`.
-        via_points: sets of `(L, D)` points by name.
-        walls: `(W, 2, D)` the ends of each; None without.
-        unit: of positions.
-    """
-
-    starts: Tensor
-    goal: Tensor
-    via_points: dict[str, Tensor] = field(default_factory=dict)
-    unit: str = ""
-    walls: Tensor | None = None
-
-
+@dataclass_transform(kw_only_default=True, eq_default=False, field_specifiers=(field,))
+@dataclass(kw_only=True, eq=False, repr=False)
 class Task(ABC):
     """A motion to learn: demonstrations, a way to try a policy, and what the trial costs.
 
-    Args:
-        demonstrations: in place of the task's own, as an object or a path that `torchds.load` reads.
-        mixture: in place of one fitted to the demonstrations, as an object or a path of an .npz file.
-        convention: "paper" as printed, or "released" for the problem as the authors' program runs it, where a task
-            has it.
+    A subclass becomes a keyword-only dataclass by itself: each annotated field is an option of `tasks.make` and of the
+    training command, and the line below it is the command's help. What needs the fields goes into `__post_init__`.
+    Needed are `default_demonstrations` and `cost_terms`; everything else has a default.
 
     Class attributes:
-        name: in the registry and in `logs/`.
-        conventions: the ones that the task has.
+        name: in the registry and in `logs/`; the class name in snake_case if not given.
+        convention: which problem of this name the class is, that of the paper or of its authors' released program.
         differentiable: whether the cost of a trial has gradients with respect to the policy.
-
-    Attributes:
+        exploration: what the training command takes if nothing else is said, by the name of `--exploration`.
+        n_components: Gaussians of the mixture.
+        covariance_floor: of its fit [unit of the task, squared]; None for a millionth of the mean variance of the data.
+        search: what is proposed to whoever searches.
         plant: what tracks the motion; None where the motion itself counts.
         stop: what ends it early; None for nothing.
     """
 
-    name: str
-    differentiable = True
-    conventions: tuple[Convention, ...] = ("paper",)
-    search: SearchSettings
-    plant: Plant | None = None
-    stop: StopCondition | None = None
+    demonstrations: Given[Demonstrations] = Given(load, lambda task: task.default_demonstrations())
+    """In place of the task's own, as an object or a path that `torchds.load` reads."""
+    mixture: Given[GaussianMixture] = Given(GaussianMixture.load, lambda task: task.fit(task.demonstrations))
+    """In place of one fitted to the demonstrations, as an object or a path of an .npz file."""
 
-    def __init__(
-        self,
-        *,
-        demonstrations: Demonstrations | str | Path | None = None,
-        mixture: GaussianMixture | str | Path | None = None,
-        convention: Convention = "paper",
-    ) -> None:
-        if convention not in self.conventions:
-            raise InvalidArgumentError(
-                f"task {self.name!r} has the convention {' or '.join(map(repr, self.conventions))}, got {convention!r}"
-            )
-        self.convention = convention
-        self._demonstrations = load(demonstrations) if isinstance(demonstrations, (str, Path)) else demonstrations
-        self._mixture = GaussianMixture.load(mixture) if isinstance(mixture, (str, Path)) else mixture
+    name: ClassVar[str] = ""
+    convention: ClassVar[Convention] = "paper"
+    differentiable: ClassVar[bool] = True
+    exploration: ClassVar[str] = "homogeneous"
+    n_components: ClassVar[int] = 4
+    covariance_floor: ClassVar[float | None] = None
+    given_demonstrations: Demonstrations | None = field(default=None, init=False)
+    given_mixture: GaussianMixture | None = field(default=None, init=False)
+    search: SearchSettings = field(default=SearchSettings(), init=False)
+    plant: Plant | None = field(default=None, init=False)
+    stop: StopCondition | None = field(default=None, init=False)
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "name" not in cls.__dict__:
+            cls.name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+        dataclass(kw_only=True, eq=False, repr=False)(cls)
 
     # ------------------------------------------------------------------ what a task says
 
@@ -138,33 +103,44 @@ class Task(ABC):
         """The task's own demonstrations."""
 
     @abstractmethod
-    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
-        """The mixture that the policy is made of."""
-
-    @abstractmethod
-    def policy(self) -> GMRPolicy:
-        """A new policy as learned from the demonstrations."""
-
-    @abstractmethod
-    def motion(self) -> Motion:
-        """Where the reference motion begins, and for how long it goes on."""
-
-    @abstractmethod
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """The named cost terms of a trial, each `(*batch)`; their sum is the cost."""
 
-    @abstractmethod
+    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
+        """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
+        return {}
+
+    # ------------------------------------------------------------------ what it may say otherwise
+
+    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
+        """The mixture that the policy is made of: `n_components` Gaussians over position and velocity."""
+        floor = self.covariance_floor
+        if floor is None:
+            seen = torch.cat([torch.cat([d.x, d.v], -1) for d in demonstrations])
+            floor = FLOOR * float(seen.var(0).mean())
+        return GaussianMixture.fit(demonstrations, self.n_components, covariance_floor=floor)
+
+    def policy(self) -> GMRPolicy:
+        """A new policy as learned from the demonstrations: position in, as many velocities out."""
+        D = self.source.dim if self.source is not None else self.mixture.means.shape[-1] // 2
+        return GMRPolicy.from_mixture(self.mixture.marginal(0, 2 * D), input_dim=D)
+
+    def motion(self) -> Motion:
+        """Where the reference motion begins, and for how long it goes on: as the longest demonstration, from the mean start."""
+        longest = max(self.demonstrations, key=lambda d: (len(d.x) - 1) * d.dt)
+        return Motion(torch.stack([d.x[0] for d in self.demonstrations]).mean(0), len(longest.x) - 1, longest.dt)
+
     def scene(self) -> Scene:
-        """What a figure of the task shows."""
+        """What a figure of the task shows: the starts, and as the goal the mean end of the demonstrations."""
+        starts = self.motion().x0
+        goal = torch.stack([d.x[-1] for d in self.demonstrations]).mean(0)
+        unit = self.demonstrations.units[0] if self.demonstrations.units else ""
+        return Scene(starts.reshape(-1, starts.shape[-1]), goal[: starts.shape[-1]], unit=unit)
 
     @property
     def P(self) -> Tensor | None:
         """Of the condition that a stable policy of this task satisfies (`torchds.stability`); None for the identity."""
         return None
-
-    def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
-        return {}
 
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """What else is worth a look in a trial, `(*batch, ...)` by TensorBoard tag."""
@@ -187,31 +163,14 @@ class Task(ABC):
 
     # ------------------------------------------------------------------ what follows from it
 
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
-        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant)
-
-    def needs_data(self) -> InvalidArgumentError:
-        """The error of a convention whose demonstrations the user has to bring."""
-        return InvalidArgumentError(
-            f"{self.name} with convention={self.convention!r} has no demonstrations of its own, theirs carry no licence; "
-            "give demonstrations=PATH or mixture=PATH"
-        )
-
-    @cached_property
-    def demonstrations(self) -> Demonstrations:
-        """The demonstrations in use."""
-        return self._demonstrations if self._demonstrations is not None else self.default_demonstrations()
-
     @property
     def source(self) -> Demonstrations | None:
         """The demonstrations behind the policy; None where a mixture was given without any."""
-        return None if self._mixture is not None and self._demonstrations is None else self.demonstrations
+        return self.demonstrations if self.given_mixture is None else self.given_demonstrations
 
-    @cached_property
-    def mixture(self) -> GaussianMixture:
-        """The mixture in use."""
-        return self._mixture if self._mixture is not None else self.fit(self.demonstrations)
+    def rollout(self, policy: GMRPolicy) -> Rollout:
+        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
+        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant)
 
     def cost(self, path: Rollout) -> Tensor:
         """The cost of a trial `(*batch)`, without the control cost, which an optimizer adds."""
@@ -229,9 +188,40 @@ class Task(ABC):
         """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""
         path = self.rollout(policy)
         deviation = policy.rows() - policy.initial_rows
-        upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.search.control_weight)
+        upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.numbers.control_weight)
         terms = self.cost_terms(path)
         return path, {**terms, "control": 0.5 * upsilon.flatten(len(policy.batch_shape)).sum(-1)}
+
+    @property
+    def numbers(self) -> Numbers:
+        """The sizes of `search`; where it has none, shares of what the imitated motion is.
+
+        * mean_speed: 12 % of the motion's mean speed;
+        * std: 5 % of the root mean square of the entries of A [1/s];
+        * mean_stiffness: a tenth of the mean stiffness along the motion;
+        * control_weight: a policy that is changed by as much as its parameters are costs a tenth of the imitated motion.
+        """
+        search, names = self.search, Numbers._fields
+        own = {name: value for name in names if (value := getattr(search, name)) is not None}
+        return Numbers(**(own if len(own) == len(names) else {**self._shares._asdict(), **own}))
+
+    @cached_property
+    def _shares(self) -> Numbers:
+        """The sizes that are shares of the imitated motion."""
+        with torch.no_grad():
+            policy, (x0, n_steps, dt) = self.policy(), self.motion()
+            imitated, state = rollout(policy, x0, n_steps, dt), self.state_dict()
+            cost = float(self.cost(self.rollout(policy)).abs())
+            self.load_state_dict(state)
+            points = imitated.v[..., 0, 0].numel()
+            size = points * n_steps * float(policy.pack().square().sum())
+            stiffness = 0.0 if imitated.stiffness is None else float(imitated.stiffness.abs().mean())
+            return Numbers(
+                control_weight=2 * CONTROL * cost / size if np.isfinite(cost) and size else 0.0,
+                mean_speed=SPEED * float(imitated.v.norm(dim=-1).mean()),
+                std=SLOPE * float(policy.A.square().mean().sqrt()),
+                mean_stiffness=STIFFNESS * stiffness,
+            )
 
 
 def total(terms: Iterable[Tensor]) -> Tensor:

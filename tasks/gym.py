@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 import tasks
+from tasks import ENVIRONMENTS
 from tasks.base import Task
-from tasks.trials import PROBLEMS, Trials
+from tasks.trials import Trials
 from torchds.errors import MissingPackageError
 
 if importlib.util.find_spec("gymnasium") is None:
@@ -103,7 +104,10 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         return observations(self.trials), rewards, ended, np.zeros_like(ended), infos
 
 
-for _name, _options in PROBLEMS.items():
+for _name, (_task, _options) in ENVIRONMENTS.items():
     gymnasium.register(
-        f"torchds/{_name}-v0", "tasks.gym:TaskEnv", vector_entry_point="tasks.gym:TaskVectorEnv", kwargs=_options
+        f"torchds/{_name}-v0",
+        "tasks.gym:TaskEnv",
+        vector_entry_point="tasks.gym:TaskVectorEnv",
+        kwargs={"task": _task, **_options},
     )

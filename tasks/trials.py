@@ -10,16 +10,6 @@ from torchds import Rollout
 from torchds.errors import InvalidArgumentError
 from torchds.rollouts import Moment, advance, begin, record
 
-PROBLEMS: dict[str, dict[str, str]] = {
-    "ViaPointN": {"task": "via_point", "shape": "N"},
-    "ViaPointP": {"task": "via_point", "shape": "P"},
-    "TwoStarts": {"task": "two_starts"},
-    "DivergentField": {"task": "divergent_field"},
-    "HalfPlaneForce": {"task": "half_plane_force"},
-    "ConstrainedReaching": {"task": "constrained_reaching"},
-}
-"""Tasks that can be tried step by step: the name, and the options of `tasks.make`."""
-
 
 class Trials:
     """M roll-outs of a task in one batch, as a Markov decision process of T steps; all of them begin and end together.

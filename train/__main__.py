@@ -1,4 +1,7 @@
-"""`python -m train <command> [options]`: learn a task, make the paper's figures, or measure the speed."""
+"""`python -m train <command> [options]`: learn a task, make the paper's figures, or measure the speed.
+
+A task of yours is named by the place where its class stands: FILE.py:NAME or MODULE:NAME in place of the command.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ import threadpoolctl
 import torch
 import tyro
 
+import tasks
+from tasks.loading import is_spec
 from torchds.errors import TorchdsError
 from train import benchmark
 from train.beyond.command import Beyond
@@ -19,7 +24,7 @@ from train.folder import Interrupted
 from train.hardware.command import Hardware
 from train.lasa.command import BenchmarkLasa
 from train.learning.run import run
-from train.options import TASK_OPTIONS, RunOptions
+from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.figures.command import Figures
 from train.view import View
@@ -28,7 +33,7 @@ from train.view import View
 def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
     commands: dict[str, Callable[..., Any]] = {
-        **TASK_OPTIONS,
+        **{name: options_class(name) for name in tasks.TASKS},
         "claims": Claims,
         "deep_rl": DeepRL,
         "figures": Figures,
@@ -39,12 +44,21 @@ def main() -> int:
         "benchmark": benchmark.Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }
-    options: Any = tyro.extras.subcommand_cli_from_dict(
-        commands, prog="python -m train", description=__doc__, config=(tyro.conf.FlagConversionOff,)
-    )
     # Small tensors: a second thread costs more than it gives, and results depend on one only.
     torch.set_num_threads(1)
     try:
+        arguments = sys.argv[1:]
+        if arguments and is_spec(arguments[0]):
+            options_of_task = options_class(arguments[0])
+            arguments[0] = tasks.options_of(arguments[0]).name
+            commands[arguments[0]] = options_of_task
+        options: Any = tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="python -m train",
+            description=__doc__,
+            args=arguments,
+            config=(tyro.conf.FlagConversionOff,),
+        )
         with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
             run(options) if isinstance(options, RunOptions) else options.main()
     except TorchdsError as error:

@@ -13,7 +13,7 @@ import tasks
 from torchds.exploration import TrajectorySpace
 from train.folder import versions
 from train.learning.learner import Learner
-from train.options import ViaPointOptions
+from train.options import options_for
 
 
 @dataclass
@@ -58,7 +58,7 @@ class Benchmark:
 
     def refresh(self, runs: int) -> tuple[float, float]:
         """Median seconds of one evaluation of the covariance, and of one update with homogeneous noise."""
-        learner = Learner(ViaPointOptions(runs=runs, updates=self.updates))
+        learner = Learner(options_for("via_point", runs=runs, updates=self.updates))
         along = TrajectorySpace(learner.policy, *learner.task.motion(), spread=0.5)
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(4 * self.repeats):
@@ -72,5 +72,5 @@ class Benchmark:
 
     def seconds(self, runs: int) -> float:
         """Wall time of learning, without the EM fit before it."""
-        learner = Learner(ViaPointOptions(runs=runs, updates=self.updates))
+        learner = Learner(options_for("via_point", runs=runs, updates=self.updates))
         return learner.learn().history.seconds

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import torch
 
 from torchds.errors import InvalidArgumentError
-from train.options import TASK_OPTIONS, RunOptions
+from train.options import RunOptions, options_class
 
 OPTIONS, CHECKPOINT, RESULTS, POLICY = "options.json", "checkpoint.pt", "results.json", "policy.pt"
 
@@ -88,7 +88,7 @@ class RunFolder:
         """
         self.require(OPTIONS)
         content = json.loads((self.path / OPTIONS).read_text())
-        return TASK_OPTIONS[content["task"]].from_json(content["options"])
+        return options_class(content["task"]).from_json(content["options"])
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         """Keep the state of a learner."""

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+import ast
+import inspect
+import textwrap
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_type_hints
+
+import tyro
+
+import tasks
+from tasks.loading import absolute, is_spec
+from torchds.errors import UnknownNameError
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 
@@ -15,7 +27,7 @@ Optimizer = Literal[
 
 @dataclass
 class RunOptions:
-    """Options that every task knows."""
+    """What every run knows, whatever its task; `options_class` adds the options of one task."""
 
     task: ClassVar[str]
 
@@ -27,16 +39,17 @@ class RunOptions:
     """Policy updates; the task's own number if not given."""
     rollouts: int | None = None
     """Roll-outs per update; the task's own number if not given."""
-    optimizer: Optimizer = "pibb"
+    optimizer: Optimizer | str = "pibb"
     """What learns. pibb: probability-weighted averaging, Algorithm 1 of the paper. pi2: averaged over time steps.
     pi2cma: pibb that adapts the covariance of its noise, without decay. surrogate: pibb that tries what similar roll-outs
     make look cheap; with --exploration trajectory, the recommended learner of all tasks. The others search over the unit
     normals of the exploration as it is at the start. nes: score-function gradient. cma: CMA-ES. cobyqa: quadratic models
-    in a trust region. finite_differences. adam, sgd, lbfgs: the gradient of the trial itself."""
-    exploration: Exploration = "homogeneous"
+    in a trust region. finite_differences. adam, sgd, lbfgs: the gradient of the trial itself.
+    FILE.py:NAME or MODULE:NAME: your own."""
+    exploration: Exploration | str = "homogeneous"
     """Parameter noise. homogeneous: equal in task space (Eq. 14-18). trajectory: equal along the motion. gaussian: one
     standard deviation for all. stable: keeps a stable policy stable (Eq. 19-23). stable-trajectory: that, along the
-    motion."""
+    motion. FILE.py:NAME or MODULE:NAME: your own."""
     shrink: Literal["all", "direction", "none"] = "all"
     """How stable noise is made. all: its symmetric part is scaled, as in the paper. direction: only what offends is cut.
     none: nothing, but the goal stays a fixed point."""
@@ -57,6 +70,8 @@ class RunOptions:
     elite: Literal["none", "nominal", "best"] | None = None
     """What the first roll-out of an update is: a perturbed policy, the unperturbed one, or the best so far; the task's
     own if not given, nominal with surrogate."""
+    learn: Literal["both", "motion", "stiffness"] = "both"
+    """What the homogeneous exploration perturbs where a policy has a stiffness: motion and stiffness, or one of them."""
     convention: Literal["paper", "released"] = "paper"
     """The problem as the paper prints it, or as the authors' program runs it, where a task has both."""
     demonstrations: Path | None = None
@@ -68,122 +83,94 @@ class RunOptions:
     resume: Path | None = None
     """Continue the run in this folder; its own options hold, the others given here are ignored."""
 
+    def __post_init__(self) -> None:
+        for option, known in (("optimizer", Optimizer), ("exploration", Exploration)):
+            name = getattr(self, option)
+            if not is_spec(name) and name not in get_args(known):
+                raise UnknownNameError(option, name, get_args(known))
+            setattr(self, option, absolute(name))
+
     def task_options(self) -> dict[str, Any]:
         """The options that go to `tasks.make`."""
-        return {"convention": self.convention, "demonstrations": self.demonstrations, "mixture": self.mixture}
+        own = [field.name for field in fields(tasks.options_of(self.task)) if field.init]
+        return {name: getattr(self, name) for name in (*own, "convention")}
+
+    def make_task(self) -> tasks.Task:
+        """The task with these options."""
+        return tasks.make(self.task, **self.task_options())
+
+    @property
+    def name(self) -> str:
+        """The task's name, where `task` may be the place of its class."""
+        return tasks.options_of(self.task).name
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, as options.json and results.json keep them."""
         return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name != "resume"}
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Self:
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
         """What `to_json` gave."""
         paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
         return cls(**{**values, **paths})
 
 
-@dataclass
-class ViaPointOptions(RunOptions):
-    """Learn a handwritten letter that passes through via-points (section 3.3)."""
+def options_class(task: str) -> type[RunOptions]:
+    """The options of a run of a task: those of `RunOptions`, and the task's own fields.
 
-    task: ClassVar[str] = "via_point"
+    Args:
+        task: its name, or where its class stands: "my_file.py:MyTask".
 
-    shape: Literal["N", "P"] = "N"
-    """The letter."""
-
-    def task_options(self) -> dict[str, Any]:
-        """The common options and the shape."""
-        return super().task_options() | {"shape": self.shape}
-
-
-@dataclass
-class TwoStartsOptions(RunOptions):
-    """Learn one policy for two starts, each with via-points of its own (section 3.3)."""
-
-    task: ClassVar[str] = "two_starts"
+    Raises:
+        UnknownNameError: no task of this name.
+        InvalidArgumentError: no task stands there, or one with a field that a command line cannot give.
+    """
+    return _derived(absolute(task), tasks.options_of(task))
 
 
-@dataclass
-class ArchOptions(RunOptions):
-    """What the force-field tasks share."""
-
-    initial_stiffness: float | None = None
-    """Constant stiffness before learning [N/m]; the task's own if not given."""
-    learn: Literal["both", "motion", "stiffness"] = "both"
-    """What the homogeneous exploration perturbs: motion and stiffness, or one of them."""
-
-    def task_options(self) -> dict[str, Any]:
-        """The common options and the initial stiffness."""
-        return super().task_options() | {"initial_stiffness": self.initial_stiffness}
+def options_for(task: str, **values: Any) -> RunOptions:
+    """Options of a run of `task`, of which `values` are given and the others are as usual."""
+    return options_class(task)(**values)
 
 
-@dataclass
-class DivergentFieldOptions(ArchOptions):
-    """Learn motion and stiffness in a divergent force field (section 5.4, first experiment)."""
-
-    task: ClassVar[str] = "divergent_field"
-
-
-@dataclass
-class HalfPlaneForceOptions(ArchOptions):
-    """Learn motion and stiffness under a force that is there in half of the executions (second experiment)."""
-
-    task: ClassVar[str] = "half_plane_force"
-
-    stiffness: Literal["diagonal", "isotropic"] = "diagonal"
-    """A stiffness for each axis, or one for both."""
-
-    def task_options(self) -> dict[str, Any]:
-        """The common options, the initial stiffness and its kind."""
-        return super().task_options() | {"stiffness": self.stiffness}
-
-
-@dataclass
-class ConstrainedReachingOptions(RunOptions):
-    """Learn the shortest way around a wall, stable all the time (section 4.3)."""
-
-    task: ClassVar[str] = "constrained_reaching"
-
-    exploration: Exploration = "stable"
-    """As for the other tasks; here the policy is stable, and noise can keep it so."""
-    condition: Literal["seds", "p-qlf"] = "seds"
-    """Of the fit. seds: as in the paper. p-qlf: with a learned metric."""
-
-    def task_options(self) -> dict[str, Any]:
-        """The common options and the condition."""
-        return super().task_options() | {"condition": self.condition}
-
-
-@dataclass
-class LwrDiggingOptions(RunOptions):
-    """Learn to shovel gravel with a simulated KUKA LWR (section 6)."""
-
-    task: ClassVar[str] = "lwr_digging"
-
-    initial_stiffness: float = 150.0
-    """Uniform stiffness before learning [N/m]."""
-    grains: Literal["fine", "coarse"] = "fine"
-    """The bed: 330 grains, or 100 large ones for tests."""
-    seconds: float = 15.0
-    """Duration of the motion."""
-    threads: int = 2
-    """Threads that share the roll-outs of a batch; the results do not depend on them."""
-
-    def task_options(self) -> dict[str, Any]:
-        """The common options and those of the scene; runs of another seed meet other beds."""
-        mine = ("initial_stiffness", "grains", "seconds", "threads", "seed")
-        return super().task_options() | {name: getattr(self, name) for name in mine}
-
-
-TASK_OPTIONS: dict[str, type[RunOptions]] = {
-    cls.task: cls
-    for cls in (
-        ViaPointOptions,
-        TwoStartsOptions,
-        DivergentFieldOptions,
-        HalfPlaneForceOptions,
-        ConstrainedReachingOptions,
-        LwrDiggingOptions,
+@cache
+def _derived(spec: str, task: type[tasks.Task]) -> type[RunOptions]:
+    """A field that both have, as a seed, keeps the meaning and the type that `RunOptions` gives it."""
+    shared = {field.name for field in fields(RunOptions)}
+    hints, lines = get_type_hints(task), field_lines(task)
+    own: list[Any] = []
+    for each in fields(task):
+        if each.init and each.name not in shared:
+            # Fields are copied, since making a dataclass writes on them.
+            usual: Any = field(**{name: getattr(each, name) for name in ("default", "default_factory")})
+            own.append((each.name, _explained(hints[each.name], lines.get(each.name, "")), usual))
+    exploration = _explained(Exploration | str, field_lines(RunOptions)["exploration"])
+    first = (inspect.getdoc(task) or task.__name__).split("\n\n")[0]
+    return make_dataclass(
+        f"{task.__name__}Options",
+        [("exploration", exploration, field(default=task.exploration)), *own],
+        bases=(RunOptions,),
+        namespace={"task": spec, "__doc__": first},
+        kw_only=True,
     )
-}
+
+
+def _explained(kind: Any, line: str) -> Any:
+    """The type of an option, with its line for `--help`."""
+    return Annotated[kind, tyro.conf.arg(help=line)]
+
+
+def field_lines(cls: type) -> dict[str, str]:
+    """The string below each annotated field of a class and of its bases, by name."""
+    found: dict[str, str] = {}
+    for each in reversed(cls.__mro__[:-1]):
+        try:
+            tree = ast.parse(textwrap.dedent(inspect.getsource(each)))
+        except (OSError, TypeError, SyntaxError):  # a class without a file
+            continue
+        body = getattr(tree.body[0], "body", [])
+        for target, text in pairwise(body):
+            said = text.value if isinstance(text, ast.Expr) else None
+            if isinstance(target, ast.AnnAssign) and isinstance(said, ast.Constant) and isinstance(said.value, str):
+                found[ast.unparse(target.target)] = " ".join(said.value.split())
+    return found

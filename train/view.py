@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -15,7 +15,10 @@ from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.folder import OPTIONS, POLICY, RunFolder
 from train.learning.learner import Learner
-from train.options import LwrDiggingOptions
+from train.options import RunOptions
+
+if TYPE_CHECKING:
+    from tasks.digging.gravel import Gravel
 
 PER_SECOND = 30  # frames
 
@@ -51,9 +54,10 @@ class View:
         learner = Learner(options)
         learner.policy.load_state_dict(RunFolder(self.policy).policy())
         print("one trial, then the window opens ...")
-        show(options, learner.task.rollout(learner.policy[self.run]))
+        task: Any = learner.task
+        show(task.gravel, learner.task.rollout(learner.policy[self.run]))
 
-    def options(self) -> LwrDiggingOptions:
+    def options(self) -> RunOptions:
         """Those of the run in the folder.
 
         Raises:
@@ -62,7 +66,7 @@ class View:
         folder = RunFolder(self.policy, "--policy")
         folder.require(OPTIONS, POLICY)
         options = folder.options()
-        if not isinstance(options, LwrDiggingOptions) or not 0 <= self.run < options.runs:
+        if options.task != self.task or not 0 <= self.run < options.runs:
             raise InvalidArgumentError(
                 f"--policy {self.policy}: a run of {options.task!r} with {options.runs} policies; needed is one of "
                 f"{self.task!r} that has policy {self.run}"
@@ -70,16 +74,15 @@ class View:
         return options
 
 
-def show(options: LwrDiggingOptions, path: Rollout) -> None:
+def show(gravel: Gravel, path: Rollout) -> None:
     """Play the snapshots of a trial at their pace until the window is closed."""
     import mujoco
     import mujoco.viewer
 
     from tasks.digging.rendering import picture_model
     from tasks.digging.simulation import SNAPSHOT
-    from tasks.digging.task import BEDS
 
-    model = picture_model(BEDS[options.grains])
+    model = picture_model(gravel)
     data = mujoco.MjData(model)
     between = round(PER_SECOND * SNAPSHOT)
     with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:

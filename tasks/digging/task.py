@@ -4,33 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Motion, Scene, SearchSettings, Task
 from tasks.digging import lwr
 from tasks.digging.demonstrate import FOLDER
 from tasks.digging.gravel import COARSE, Gravel
 from tasks.digging.scene import Scenes
-from tasks.digging.simulation import WEIGHING, Recording, dig
+from tasks.digging.simulation import Recording, dig
+from tasks.lwr_digging import HIGH, LOW, SECONDS, DiggingOptions
+from tasks.settings import Motion, Scene
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout
 from torchds.errors import InvalidArgumentError
 
 BEDS = {"fine": Gravel(), "coarse": COARSE}
 N_COMPONENTS = 4
-LOW, HIGH = 50.0, 700.0  # N/m, bounds of the applied stiffness, those of the authors' robot
-SECONDS = 15.0
 TARE = 3.5  # N, the constant in the gravel's term
 GOAL_WEIGHT, FORCE_WEIGHT, STIFFNESS_WEIGHT, ACCELERATION_WEIGHT = 10.0, 1e-6, 5e-7, 1e-4
 COST_STEP = 0.002  # s
 LIFTED = 0.16  # m, height of the tool point above which the blade is out of the bed for good
 
 
-class LwrDigging(Task):
+class LwrDigging(DiggingOptions):
     """A KUKA LWR shovels gravel out of a box within 15 s, under a Cartesian impedance controller with learned stiffness.
 
     The policy sees the position of its own reference and gives velocity, angular rate and one stiffness (Eq. 36); both
@@ -55,63 +53,18 @@ class LwrDigging(Task):
     the arm reaches; the arm then stays where it is. Each trial has a bed of its own, whose grains are moved by 0.1 mm;
     `trials` counts them, so that a run that is resumed meets the same beds.
 
-    Args:
-        initial_stiffness: s⁰ [N/m], uniform.
-        grains: "fine" for 330 grains of 4.5 to 7.5 mm, "coarse" for 100 of 9 to 14 mm, for tests.
-        seconds: of the motion; the task's own demonstrations are stretched with it.
-        threads: that share the roll-outs; the results are the same for any number.
-        seed: of the beds.
-        demonstrations: in place of five in soil: positions x, z [m] and angle [rad], for example a folder of .csv files with
-            the columns time, x, z, angle (`load_csv`).
-        mixture: see `Task`; over x, z, their velocities and the angle's.
-        convention: "paper" alone.
-
     Raises:
-        InvalidArgumentError: a stiffness outside the bounds, unknown grains, no time or threads, demonstrations that do not
-            have three dimensions, or a start out of reach.
+        InvalidArgumentError: see `DiggingOptions`; demonstrations that do not have three dimensions, or a start out of reach.
     """
 
     name = "lwr_digging"
-    differentiable = False
 
-    def __init__(
-        self,
-        initial_stiffness: float = 150.0,
-        *,
-        grains: Literal["fine", "coarse"] = "fine",
-        seconds: float = SECONDS,
-        threads: int = 2,
-        seed: int = 0,
-        demonstrations: Demonstrations | str | Path | None = None,
-        mixture: GaussianMixture | str | Path | None = None,
-        convention: Convention = "paper",
-    ) -> None:
-        super().__init__(demonstrations=demonstrations, mixture=mixture, convention=convention)
-        if not LOW <= initial_stiffness <= HIGH:
-            raise InvalidArgumentError(
-                f"initial_stiffness has to be within [{LOW:g}, {HIGH:g}] N/m, got {initial_stiffness}"
-            )
-        if grains not in BEDS:
-            raise InvalidArgumentError(f"grains has to be {' or '.join(map(repr, BEDS))}, got {grains!r}")
-        if not seconds > WEIGHING or threads < 1 or seed < 0:
-            raise InvalidArgumentError(
-                f"seconds > {WEIGHING}, threads ≥ 1 and seed ≥ 0 are needed, got {seconds}, {threads} and {seed}"
-            )
-        self.initial_stiffness, self.seconds, self.threads, self.seed = initial_stiffness, seconds, threads, seed
-        self.gravel = BEDS[grains]
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.gravel = BEDS[self.grains]
         self.dt = self.gravel.time_step
         self.trials = 0
         self.progress: Callable[[float], object] | None = None
-        self.search = SearchSettings(
-            n_updates=10,
-            n_rollouts=8,
-            control_weight=1e-12,
-            mean_speed=0.008,
-            mean_stiffness=60.0,
-            spread=(0.015, 0.015, 0.15),
-            stiffness_spread=100.0,
-            elite="nominal",
-        )
         if self.demonstrations.dim != 3:
             raise InvalidArgumentError(
                 "digging demonstrations have three dimensions, x and z [m] and the angle [rad], got "

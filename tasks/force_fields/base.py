@@ -4,44 +4,41 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
-from tasks.base import Convention, Motion, Scene, SearchSettings, Task
-from tasks.released.base import RELEASED_SEARCH, released_fit
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs
+from tasks.base import Task
+from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
+from torchds import Demonstrations, GMRPolicy, Rollout, costs
+from torchds.errors import InvalidArgumentError
 from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
 from torchds.plants import Force, PointMass
 
 LOW, HIGH = 0.1, 1000.0  # N/m, bounds of the applied stiffness
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Setup:
-    """The constants of one task under one convention.
+    """The constants of one task.
 
     Attributes:
         start: of motion and plant [m].
         via_points: [m]; one that stands twice counts twice.
         duration: T dt [s].
-        n_components: Gaussians of the mixture.
-        stiffness: s⁰, the constant initial stiffness [N/m].
         acceleration_weight: of |v_j − v_{j−1}| (paper) or |a_j|² (released).
         stiffness_weight: of |s_j| (paper) or the sum of the axes' stiffness (released).
+        unit: of positions.
     """
 
     start: tuple[float, float]
     via_points: tuple[tuple[float, float], ...]
     duration: float
-    n_components: int
-    stiffness: float
     acceleration_weight: float
     stiffness_weight: float
+    unit: str = "m"
 
 
 # The paper names no via-points; these lie on the arch, but for the bend after the top.
@@ -50,13 +47,7 @@ DT = 0.1  # s
 
 
 # 100 updates of 10 roll-outs, with noise of 2 N/m in the stiffness beside that of the motion.
-ARCH_SEARCH = SearchSettings(
-    n_updates=100,
-    n_rollouts=10,
-    control_weight=1e-6,
-    mean_stiffness=2.0,
-)
-RELEASED_ARCH_SEARCH = replace(RELEASED_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=10.0)
+ARCH_SEARCH = replace(PAPER_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=2.0)
 
 
 def arch(s: Tensor) -> Tensor:
@@ -89,36 +80,30 @@ class ArchTask(Task):
     A unit point mass with unit damping tracks the reference under the implicit impedance controller of Eq. 33. The policy
     gives velocity and stiffness; the demonstrations say nothing about the stiffness, so it begins as the constant s⁰. The
     cost is that of the actual motion and of the stiffness as applied, between 0.1 and 1000 N/m.
+
+    Raises:
+        InvalidArgumentError: an unknown kind of stiffness.
     """
 
-    conventions = ("paper", "released")
-    setups: ClassVar[Mapping[str, Setup]]
-    searches: ClassVar[Mapping[str, SearchSettings]]
-    bias: float
-    plant: ImpedanceControlled
+    setup: ClassVar[Setup]
+    bias: ClassVar[float]
+    covariance_floor = PAPER_FLOOR
+    form: ClassVar[Literal["implicit", "explicit"]] = "implicit"
+    low: ClassVar[float] = LOW
+    high: ClassVar[float] = HIGH
 
-    def __init__(
-        self,
-        *,
-        initial_stiffness: float | None = None,
-        stiffness_dim: int = 2,
-        demonstrations: Demonstrations | str | Path | None = None,
-        mixture: GaussianMixture | str | Path | None = None,
-        convention: Convention = "paper",
-    ) -> None:
-        super().__init__(demonstrations=demonstrations, mixture=mixture, convention=convention)
-        self.setup, self.search = self.setups[convention], self.searches[convention]
-        self.initial_stiffness = self.setup.stiffness if initial_stiffness is None else initial_stiffness
-        self.stiffness_dim = stiffness_dim
+    initial_stiffness: float = 20.0
+    """Constant stiffness before learning, s⁰ [N/m]."""
+    stiffness: Literal["diagonal", "isotropic"] = "diagonal"
+    """A stiffness for each axis, or one for both."""
+
+    def __post_init__(self) -> None:
+        if self.stiffness not in ("diagonal", "isotropic"):
+            raise InvalidArgumentError(f"stiffness has to be 'diagonal' or 'isotropic', got {self.stiffness!r}")
         self.goal = torch.zeros(2, dtype=torch.float64)
         self.via_points = torch.tensor(self.setup.via_points, dtype=torch.float64)
-        released = convention == "released"
-        self.plant = ImpedanceControlled(
-            PointMass(mass=1.0, damping=1.0, force=self.force()),
-            form="explicit" if released else "implicit",
-            low=0.0 if released else LOW,
-            high=math.inf if released else HIGH,
-        )
+        mass = PointMass(mass=1.0, damping=1.0, force=self.force())
+        self.plant = ImpedanceControlled(mass, form=self.form, low=self.low, high=self.high)
 
     @abstractmethod
     def force(self) -> Force:
@@ -126,19 +111,12 @@ class ArchTask(Task):
 
     def default_demonstrations(self) -> Demonstrations:
         """Three imperfect motions along the arch."""
-        if self.convention == "released":
-            raise self.needs_data()
         return arch_demonstrations(self.bias)
 
-    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
-        """Gaussians over position and velocity."""
-        fit = released_fit if self.convention == "released" else GaussianMixture.fit
-        return fit(demonstrations, self.setup.n_components)
-
     def policy(self) -> GMRPolicy:
-        """The imitated motion with the constant stiffness s⁰."""
-        mixture = self.mixture.marginal(0, 4)
-        return GMRPolicy.from_mixture(mixture, 2, stiffness_dim=self.stiffness_dim, stiffness=self.initial_stiffness)
+        """The imitated motion with the constant stiffness s⁰, in place of stiffness variables that a mixture may have."""
+        Q = 2 if self.stiffness == "diagonal" else 1
+        return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), 2, stiffness_dim=Q, stiffness=self.initial_stiffness)
 
     def motion(self) -> Motion:
         """From the one start."""
@@ -148,14 +126,14 @@ class ArchTask(Task):
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
         """Acceleration and stiffness of each step of each trajectory `(*batch, *points, T)`, not weighted."""
         applied = path.plant.stiffness[..., 1:, :]
-        if self.convention == "released":
-            return path.plant.acceleration[..., 1:, :].square().sum(-1), applied.sum(-1)
         return costs.acceleration_steps(path.v), torch.linalg.vector_norm(applied, dim=-1)
 
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """Share of clamped stiffness, mean stiffness, and energy that its changes inject, `(*batch, *points)`."""
+        plant = self.plant
+        assert isinstance(plant, ImpedanceControlled)
         return {
-            "stiffness/clamped": clamped_share(path, self.plant),
+            "stiffness/clamped": clamped_share(path, plant),
             "stiffness/mean": path.plant.stiffness[..., 1:, :].mean((-2, -1)),
             "stiffness/injected_energy": injected_energy(path),
         }
@@ -163,4 +141,4 @@ class ArchTask(Task):
     def scene(self) -> Scene:
         """Start, goal and via-points."""
         start = torch.tensor([self.setup.start], dtype=torch.float64)
-        return Scene(start, self.goal, {"via-points": self.via_points}, unit="m" if self.convention == "paper" else "")
+        return Scene(start, self.goal, {"via-points": self.via_points}, unit=self.setup.unit)

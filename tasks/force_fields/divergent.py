@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from typing import ClassVar
-
 import torch
 from torch import Tensor
 
-from tasks.force_fields.base import ARCH_SEARCH, ARCH_VIA_POINTS, RELEASED_ARCH_SEARCH, ArchTask, Setup, arch
+from tasks.force_fields.base import ARCH_SEARCH, ARCH_VIA_POINTS, ArchTask, Setup, arch
 from torchds import Rollout, costs
 from torchds.plants import Force
 
 GAIN = 10.0  # N/m
 N_PATH = 400  # points of the nominal path
-
-RELEASED_VIA_POINTS = ((-7.5, -1.0), (-5.0, 0.0), (-2.5, 1.0), (-2.5, 1.0), (-1.25, 0.5))
 
 
 def radial_field(path: Tensor) -> Force:
@@ -23,20 +18,6 @@ def radial_field(path: Tensor) -> Force:
 
     def force(t: float, x: Tensor, v: Tensor) -> Tensor:
         return GAIN * (x - path[nearest(x, path)])
-
-    return force
-
-
-def normal_field(path: Tensor) -> Force:
-    """The same size, but along the normal of the path's segment at the nearest point, pointing away (released)."""
-    tangent = torch.cat([path.diff(dim=0), path[-1:] - path[-2:-1]])
-    normal = torch.stack([-tangent[:, 1], tangent[:, 0]], -1)
-    normal = normal / normal.norm(dim=-1, keepdim=True)
-
-    def force(t: float, x: Tensor, v: Tensor) -> Tensor:
-        index = nearest(x, path)
-        offset, n = x - path[index], normal[index]
-        return GAIN * offset.norm(dim=-1, keepdim=True) * torch.sign((n * offset).sum(-1, keepdim=True)) * n
 
     return force
 
@@ -51,37 +32,26 @@ class DivergentField(ArchTask):
 
     The cost is Σ_l min_j |x_l^via − x_j|² + |x^goal − x_T|² + 10⁻⁴ Σ_j |v_j − v_{j−1}| + 5·10⁻⁴ Σ_j |s_j| of the actual motion,
     and a control cost of r = 10⁻⁶. The motion starts a little off the nominal path.
-
-    With convention="released", the problem is the one that the authors' program runs: a sine path of 100 points, the force
-    along the local normal, one via-point counted twice, 10⁻⁴ |a_j|² for the acceleration, the sum of both axes' stiffness,
-    the explicit controller, stiffness cut at zero. Give `demonstrations` or `mixture`.
-
-    Args:
-        initial_stiffness: s⁰ [N/m]; 20 if not given.
-        stiffness_dim: 2 for a stiffness of each axis, 1 for the same on both.
-        demonstrations: see `Task`.
-        mixture: see `Task`; stiffness variables in it are replaced by s⁰.
-        convention: see `Task`.
     """
 
     name = "divergent_field"
     bias = 0.3
-    setups: ClassVar = {
-        "paper": Setup((-11.7, -0.3), ARCH_VIA_POINTS, 15.0, 4, 20.0, 1e-4, 5e-4),
-        "released": Setup((-10.0, 0.2), RELEASED_VIA_POINTS, 12.0, 3, 20.0, 1e-4, 5e-4),
-    }
-    searches: ClassVar = {"paper": ARCH_SEARCH, "released": RELEASED_ARCH_SEARCH}
+    search = ARCH_SEARCH
+    setup = Setup(
+        start=(-11.7, -0.3),
+        via_points=ARCH_VIA_POINTS,
+        duration=15.0,
+        acceleration_weight=1e-4,
+        stiffness_weight=5e-4,
+    )
 
     def nominal(self) -> Tensor:
         """The path without force `(n, 2)`."""
-        if self.convention == "released":
-            s = torch.arange(1, 101, dtype=torch.float64) / 100
-            return torch.stack([-10 * (1 - s), torch.sin(2 * math.pi * (1 - s))], -1)
         return arch(torch.linspace(0, 1, N_PATH, dtype=torch.float64))
 
     def force(self) -> Force:
         """The divergent field."""
-        return normal_field(self.nominal()) if self.convention == "released" else radial_field(self.nominal())
+        return radial_field(self.nominal())
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal, acceleration and stiffness of Eq. 49."""

@@ -9,10 +9,11 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker
 
 import tasks.gym
-from tasks.trials import PROBLEMS, Trials
+from tasks import ENVIRONMENTS
+from tasks.trials import Trials
 from torchds.errors import InvalidArgumentError, MissingPackageError
 
-EVERY = pytest.mark.parametrize("name", PROBLEMS)
+EVERY = pytest.mark.parametrize("name", ENVIRONMENTS)
 
 
 @pytest.fixture(scope="module")

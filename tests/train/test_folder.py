@@ -8,7 +8,7 @@ import torch
 
 from torchds.errors import InvalidArgumentError
 from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, versions, write_atomically
-from train.options import DivergentFieldOptions, ViaPointOptions
+from train.options import options_for
 
 
 def test_new_folders_never_meet(tmp_path, monkeypatch):
@@ -22,8 +22,8 @@ def test_new_folders_never_meet(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "options",
     [
-        ViaPointOptions(shape="P", runs=7, mixture=Path("a.npz"), updates=3),
-        DivergentFieldOptions(learn="motion", initial_stiffness=2.5),
+        options_for("via_point", shape="P", runs=7, mixture=Path("a.npz"), updates=3),
+        options_for("divergent_field", learn="motion", initial_stiffness=2.5),
     ],
 )
 def test_options_come_back_as_they_were_begun_with(options, tmp_path):

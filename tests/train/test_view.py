@@ -8,7 +8,7 @@ import torch
 
 from torchds.errors import InvalidArgumentError
 from train import view
-from train.options import LwrDiggingOptions
+from train.options import options_for
 from train.view import NoDisplayError, View
 
 
@@ -16,7 +16,7 @@ from train.view import NoDisplayError, View
 def folder(tmp_path):
     """The folder of a finished run that never was."""
     (tmp_path / "policy.pt").touch()
-    options = LwrDiggingOptions(runs=2, seconds=3.0)
+    options = options_for("lwr_digging", runs=2, seconds=3.0)
     (tmp_path / "options.json").write_text(json.dumps({"task": "lwr_digging", "options": options.to_json()}))
     return tmp_path
 
@@ -85,7 +85,7 @@ def test_the_snapshots_are_played_in_order_until_the_window_is_closed(monkeypatc
     n = picture_model(BEDS["coarse"]).nq
     snapshots = torch.zeros(3, n, dtype=torch.float64)
     snapshots[:, 0] = torch.tensor([0.0, 1.0, 3.0])
-    view.show(LwrDiggingOptions(grains="coarse"), SimpleNamespace(plant=SimpleNamespace(snapshots=snapshots)))
+    view.show(options_for("lwr_digging", grains="coarse"), SimpleNamespace(plant=SimpleNamespace(snapshots=snapshots)))
     assert len(shown) == 70
     again = shown.index(0.0, 1)  # the trial begins again
     trial = shown[:again]

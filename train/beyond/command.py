@@ -19,7 +19,7 @@ from torchds.recruiting import most_wanted, recruit
 from train.beyond.starts import one_start
 from train.folder import versions, write_json
 from train.learning.learner import Learner
-from train.options import TASK_OPTIONS, RunOptions
+from train.options import RunOptions, options_for
 from train.searchers.base import Closure
 from train.searchers.named import RECOMMENDED
 from train.statistics import differ, quartiles
@@ -141,7 +141,7 @@ class Beyond:
 
     def options(self, task: str, updates: int, **more: Any) -> RunOptions:
         """The options of one row."""
-        return TASK_OPTIONS[task](runs=self.runs, seed=self.seed, updates=max(1, round(self.budget * updates)), **more)
+        return options_for(task, runs=self.runs, seed=self.seed, updates=max(1, round(self.budget * updates)), **more)
 
     # ------------------------------------------------------------------ the experiments
 
@@ -194,7 +194,7 @@ class Beyond:
 
 def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
     """A mixture of another number of Gaussians over the task's own demonstrations."""
-    return GaussianMixture.fit(tasks.make(options.task, **options.task_options()).demonstrations, n_components)
+    return GaussianMixture.fit(options.make_task().demonstrations, n_components)
 
 
 def repeat(repeats: int, closure: Closure, learner: Learner) -> Closure:

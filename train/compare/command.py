@@ -13,22 +13,17 @@ from typing import Any, Literal, NamedTuple, get_args
 from tqdm import tqdm
 
 import tasks
+from tasks import PROBLEMS
+from tasks.loading import is_spec, short
 from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report
 from train.compare.report import Outcome
 from train.folder import RESULTS, Interrupted, RunFolder, versions
 from train.learning.history import results
 from train.learning.learner import Learner
-from train.options import TASK_OPTIONS, Optimizer, RunOptions
+from train.options import Optimizer, RunOptions, options_class
 from train.searchers.named import METHODS
 from train.statistics import median
-
-PROBLEMS: dict[str, tuple[str, dict[str, Any]]] = {
-    "via_point-N": ("via_point", {"shape": "N"}),
-    "via_point-P": ("via_point", {"shape": "P"}),
-    **{name: (name, {}) for name in TASK_OPTIONS if name != "via_point"},
-}
-"""What can be compared: task and options by name."""
 
 SAVE_EVERY = 10.0  # s between two checkpoints
 TUNING_SEED = 1000  # added to the seed of the reported runs
@@ -57,7 +52,7 @@ class Compare:
     """
 
     tasks: tuple[str, ...] = ("via_point-N", "via_point-P")
-    """Problems: via_point-N, via_point-P and the other tasks by their names."""
+    """Problems: via_point-N, via_point-P, the other tasks by their names, and yours: FILE.py:NAME or MODULE:NAME."""
     optimizers: tuple[str, ...] = get_args(Optimizer)
     """As --optimizer of the training commands."""
     coordinates: tuple[CoordinateKind, ...] = ("plain", "trajectory")
@@ -115,8 +110,8 @@ class Compare:
     def check(self) -> None:
         """Refuse what cannot be compared, before anything runs."""
         for kind, received, known in (
-            ("problem", self.tasks, PROBLEMS),
-            ("optimizer", self.optimizers, get_args(Optimizer)),
+            ("problem", [name for name in self.tasks if not is_spec(name)], PROBLEMS),
+            ("optimizer", [name for name in self.optimizers if not is_spec(name)], get_args(Optimizer)),
             ("coordinates", self.coordinates, get_args(CoordinateKind)),
         ):
             for name in received:
@@ -161,8 +156,8 @@ class Compare:
 
     def options(self, candidate: Candidate, factor: float, runs: int, seed: int) -> RunOptions:
         """The options of one batch of runs."""
-        task, own = PROBLEMS[candidate.problem]
-        kind = TASK_OPTIONS[task]
+        task, own = PROBLEMS.get(candidate.problem, (candidate.problem, {}))
+        kind: Any = options_class(task)
         stable = kind.exploration == "stable"  # the policy's goal is tied: so are all coordinates
         along = "stable-trajectory" if stable else "trajectory"
         if stable and candidate.optimizer in METHODS:
@@ -171,8 +166,8 @@ class Compare:
             runs=runs,
             seed=seed,
             updates=self.updates,
-            optimizer=candidate.optimizer,  # type: ignore[arg-type] # a name of the registry
-            exploration=along if candidate.coordinates == "trajectory" else kind.exploration,  # type: ignore[arg-type]
+            optimizer=candidate.optimizer,
+            exploration=along if candidate.coordinates == "trajectory" else kind.exploration,
             scale=factor,
             cost_noise=self.noise_std,
             logdir=self.logdir,
@@ -187,7 +182,7 @@ class Compare:
         usual = type(options)().to_json()  # left out of the name: an option that is added later changes no names
         own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
         key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
-        folder = RunFolder(self.logdir / "compare" / "runs" / options.task / f"{options.optimizer}-{key}")
+        folder = RunFolder(self.logdir / "compare" / "runs" / options.name / f"{short(options.optimizer)}-{key}")
         if folder.has(RESULTS):
             return folder.results()
         learner = Learner(options, made(options))
@@ -228,7 +223,7 @@ def made(options: RunOptions) -> tasks.Task:
     key = json.dumps([options.task, {name: str(value) for name, value in options.task_options().items()}])
     if key not in _made:
         _made.clear()
-        task = tasks.make(options.task, **options.task_options())
+        task = options.make_task()
         _made[key] = task, copy.deepcopy(task.state_dict())
     task, state = _made[key]
     task.load_state_dict(state)

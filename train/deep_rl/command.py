@@ -14,8 +14,8 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 import tasks
+from tasks import ENVIRONMENTS
 from tasks.base import total
-from tasks.trials import PROBLEMS
 from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted, RunFolder
 from train.learning.history import History, results, table
@@ -52,11 +52,11 @@ class DeepRL:
     @property
     def task(self) -> str:
         """The name of the task."""
-        return PROBLEMS[self.environment]["task"]
+        return ENVIRONMENTS[self.environment][0]
 
     def task_options(self) -> dict[str, Any]:
         """The options that go to `tasks.make`."""
-        return {name: value for name, value in PROBLEMS[self.environment].items() if name != "task"}
+        return dict(ENVIRONMENTS[self.environment][1])
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, the options of the task among them."""

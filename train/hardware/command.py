@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from tasks.base import Convention
-from train.options import LwrDiggingOptions
+from tasks.settings import Convention
+from train.options import options_class
 
 if TYPE_CHECKING:
     from train.hardware.session import Session
 
 
+DiggingOptions: Any = options_class("lwr_digging")
+
+
 @dataclass
-class SessionOptions(LwrDiggingOptions):
+class SessionOptions(DiggingOptions):
     """The options of the training command, without those that a robot decides by itself or has no use for."""
 
     runs: tyro.conf.Fixed[int] = 1
     elite: tyro.conf.Fixed[Literal["none", "nominal", "best"] | None] = "nominal"
     cost_noise: tyro.conf.Fixed[float] = 0.0
+    learn: tyro.conf.Fixed[Literal["both", "motion", "stiffness"]] = "both"
     grains: tyro.conf.Fixed[Literal["fine", "coarse"]] = "fine"
     threads: tyro.conf.Fixed[int] = 1
     convention: tyro.conf.Fixed[Convention] = "paper"

@@ -11,11 +11,12 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+import tasks
 from tasks.base import total
 from tasks.digging import lwr
 from tasks.digging.simulation import WEIGHING, Recording
@@ -37,7 +38,7 @@ from train.hardware.robot_files import (
 from train.learning.history import results
 from train.learning.learner import Learner
 from train.learning.run import check
-from train.options import LwrDiggingOptions
+from train.options import RunOptions, options_class
 
 STATE = "session.pt"
 DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
@@ -65,7 +66,7 @@ class Session:
         InvalidArgumentError: options that a robot cannot be learned with.
     """
 
-    def __init__(self, folder: Path, options: LwrDiggingOptions, task: LwrDigging) -> None:
+    def __init__(self, folder: Path, options: RunOptions, task: LwrDigging) -> None:
         check(options)
         if options.runs != 1 or options.cost_noise or options.elite not in (None, "nominal"):
             raise InvalidArgumentError(
@@ -81,7 +82,7 @@ class Session:
         self.asked, self.attempt, self.spent, self.failed = False, 1, 0, 0
 
     @classmethod
-    def start(cls, folder: Path, options: LwrDiggingOptions) -> Session:
+    def start(cls, folder: Path, options: RunOptions) -> Session:
         """Begin a session in a new folder.
 
         Raises:
@@ -89,7 +90,7 @@ class Session:
         """
         if (folder / STATE).exists() or list(folder.glob("update-*")):
             raise InvalidArgumentError(f"{folder} holds a session already; {hint('status', folder)}")
-        session = cls(folder, options, LwrDigging(**options.task_options()))
+        session = cls(folder, options, made(**options.task_options()))
         folder.mkdir(parents=True, exist_ok=True)
         session.task.demonstrations.save_npz(folder / DEMONSTRATIONS)
         session.task.mixture.save(folder / MIXTURE)
@@ -106,9 +107,9 @@ class Session:
         if not (folder / STATE).is_file():
             raise InvalidArgumentError(f"{folder} holds no session; {hint('start', folder)}")
         state = torch.load(folder / STATE, weights_only=True)
-        options = LwrDiggingOptions.from_json(state["options"])
+        options = options_class("lwr_digging").from_json(state["options"])
         kept = {"demonstrations": folder / DEMONSTRATIONS, "mixture": folder / MIXTURE}
-        session = cls(folder, options, LwrDigging(**options.task_options() | kept))
+        session = cls(folder, options, made(**options.task_options() | kept))
         session.learner.load_state_dict(state["learner"])
         for name in ("asked", "attempt", "spent", "failed"):
             setattr(session, name, state[name])
@@ -259,7 +260,7 @@ class Session:
         nominal = {name: values[:1] for name, values in terms.items()}
         computed = self.learner.searcher.forward_equivalents(self.done)
         history.add(self.spent - self.optim.n_rollouts, nominal, self.failed, computed)
-        history.seconds += states.count("there") * self.options.seconds
+        history.seconds += states.count("there") * self.task.seconds
         self.failed, self.asked, self.attempt = self.learner.searcher.failed, False, 1
         self.save()
         return Told(self.done, self.learner.n_updates, self.failed, header, rows)
@@ -271,3 +272,10 @@ class Session:
         folder, history, n = self.update_folder, self.learner.history, self.optim.n_rollouts
         states = returned(folder, n) if self.asked else None
         return Status(self.folder, self.done, self.learner.n_updates, self.spent, history, folder, states)
+
+
+def made(**options: Any) -> LwrDigging:
+    """The digging task with these options."""
+    task = tasks.make("lwr_digging", **options)
+    assert isinstance(task, LwrDigging)
+    return task

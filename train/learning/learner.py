@@ -48,7 +48,7 @@ class Learner:
         exploration: Explore | None = None,
     ) -> None:
         self.options = options
-        self.task = task if task is not None else tasks.make(options.task, **options.task_options())
+        self.task = task if task is not None else options.make_task()
         self.wrap, self.exploration = wrap, exploration
         self.initial = self.task.policy()
         self.policy = self.initial.expand(options.runs)

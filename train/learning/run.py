@@ -7,6 +7,7 @@ from pathlib import Path
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from tasks.loading import short
 from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted, RunFolder
 from train.learning import figures
@@ -45,11 +46,11 @@ def run(options: RunOptions) -> Path:
     check(options)
     learner = Learner(options)
     if folder is None:
-        folder = RunFolder.new(options.logdir, options.task, options.optimizer, options.seed)
+        folder = RunFolder.new(options.logdir, options.name, short(options.optimizer), options.seed)
         folder.begin(options.task, options.to_json())
     else:
         folder.restore(learner)
-    print(f"{options.task}: {options.runs} run(s), logs in {folder.path}")
+    print(f"{options.name}: {options.runs} run(s), logs in {folder.path}")
     with SummaryWriter(str(folder.path), purge_step=learner.done) as writer:
         album = Album(writer, learner)
         if not learner.history.cost:

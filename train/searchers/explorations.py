@@ -18,8 +18,8 @@ def along_motion(options: RunOptions) -> bool:
 
 def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Exploration:
     """The exploration that `--exploration`, `--noise` and `--shrink` name."""
-    search, learn = task.search, getattr(options, "learn", "both")
-    std = search.std if options.noise is None else options.noise
+    search, numbers, learn = task.search, task.numbers, options.learn
+    std = numbers.std if options.noise is None else options.noise
     if options.exploration == "gaussian":
         return Gaussian(std)
     goal = task.scene().goal
@@ -39,14 +39,14 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
                 *task.motion(),
                 spread=search.spread if options.noise is None else options.noise,
                 stiffness_spread=search.stiffness_spread,
-                mean_speed=search.mean_speed,
-                mean_stiffness=search.mean_stiffness,
+                mean_speed=numbers.mean_speed,
+                mean_stiffness=numbers.mean_stiffness,
                 goal=tied,
             )
         return Stable(policy, along, goal, task.P, shrink=options.shrink) if stable else along
-    mean_speed = search.mean_speed if options.noise is None else options.noise
+    mean_speed = numbers.mean_speed if options.noise is None else options.noise
     return search.homogeneous(
         policy,
         0.0 if learn == "stiffness" else mean_speed,
-        mean_stiffness=0.0 if learn == "motion" else search.mean_stiffness,
+        mean_stiffness=0.0 if learn == "motion" else numbers.mean_stiffness,
     )

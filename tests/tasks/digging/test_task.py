@@ -12,7 +12,7 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.exploration import Homogeneous
 from torchds.optim import PIBB
 from train.learning.learner import Learner
-from train.options import LwrDiggingOptions
+from train.options import options_for
 
 pytest.importorskip("mujoco")
 pytest.importorskip("pytorch_kinematics")
@@ -137,7 +137,7 @@ def test_failed_trials_have_no_weight_and_are_counted():
 
 
 def test_a_run_that_is_resumed_meets_the_same_beds():
-    options = LwrDiggingOptions(grains="coarse", seconds=1.0, updates=2, rollouts=2, threads=1)
+    options = options_for("lwr_digging", grains="coarse", seconds=1.0, updates=2, rollouts=2, threads=1)
     whole = Learner(options).learn()
     first = Learner(options)
     first.start()

@@ -13,7 +13,7 @@ from torchds import Demonstrations
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Homogeneous
 from train.learning.learner import Learner
-from train.options import DivergentFieldOptions
+from train.options import options_for
 
 VIA = [(-9.0, 4.3), (-6.0, 4.0), (-3.6, 1.8), (-1.4, 0.4)]
 RELEASED_VIA = [(-7.5, -1.0), (-5.0, 0.0), (-2.5, 1.0), (-2.5, 1.0), (-1.25, 0.5)]
@@ -82,9 +82,9 @@ def test_the_force_is_ten_times_the_distance_away_from_the_path(convention, expe
 
 
 @pytest.mark.parametrize("convention", ["paper", "released"])
-@pytest.mark.parametrize("stiffness_dim", [2, 1])
-def test_cost_terms_are_those_of_a_loop(convention, stiffness_dim, tracked, vary):
-    task = make(convention, stiffness_dim=stiffness_dim)
+@pytest.mark.parametrize("stiffness", ["diagonal", "isotropic"])
+def test_cost_terms_are_those_of_a_loop(convention, stiffness, tracked, vary):
+    task = make(convention, stiffness=stiffness)
     policy = vary(task.policy(), 3, 0.02, stiffness=1.0)
     with torch.no_grad():
         path, terms = task.evaluate(policy)
@@ -184,7 +184,7 @@ RUNS = 20
 @functools.cache
 def learned(n_updates=100, **options):
     """The learner, and its cost terms `(RUNS,)` before and after so many of the task's updates."""
-    learner = Learner(DivergentFieldOptions(runs=RUNS, **options))
+    learner = Learner(options_for("divergent_field", runs=RUNS, **options))
     before = learner.evaluate()
     for _ in range(n_updates):
         learner.searcher.step(learner.closure)
@@ -219,7 +219,7 @@ def test_the_recommended_learner_needs_400_rollouts_for_what_takes_the_paper_100
 
 def test_a_start_that_diverges_is_learned_from():
     """1 N/m cannot hold the mass in a field of 10 N/m."""
-    options = DivergentFieldOptions(runs=RUNS, updates=50, convention="released", initial_stiffness=1.0)
+    options = options_for("divergent_field", runs=RUNS, updates=50, convention="released", initial_stiffness=1.0)
     learner = Learner(options, make("released", initial_stiffness=1.0)).learn()
     costs = np.array(learner.history.cost)
     assert costs[0].min() > 1e10

@@ -16,7 +16,7 @@ from tasks.released.exploration import ReleasedHomogeneous
 from torchds import GaussianMixture
 from torchds.errors import InvalidArgumentError
 from train.learning.learner import Learner
-from train.options import HalfPlaneForceOptions
+from train.options import options_for
 
 VIA = [(-9.0, 4.3), (-6.0, 4.0), (-3.6, 1.8), (-1.4, 0.4)]
 RELEASED_VIA = [(-7.5, -1.0), (-5.0, 0.0), (-2.5, 1.0), (-1.25, 0.5)]
@@ -150,7 +150,7 @@ def test_unknown_kinds_are_refused(options, message):
 
 def test_the_released_problem_is_learned_from_a_start_that_is_too_soft():
     """1 N/m against 10 N."""
-    options = HalfPlaneForceOptions(runs=5, updates=30, convention="released", initial_stiffness=1.0)
+    options = options_for("half_plane_force", runs=5, updates=30, convention="released", initial_stiffness=1.0)
     costs = np.array(Learner(options, make("released", initial_stiffness=1.0)).learn().history.cost)
     assert np.isfinite(costs).all()
     assert (costs[-1] < 0.2 * costs[0]).all()
@@ -163,12 +163,12 @@ RUNS = 60
 
 @functools.cache
 def learned():
-    return Learner(HalfPlaneForceOptions(runs=RUNS)).learn()
+    return Learner(options_for("half_plane_force", runs=RUNS)).learn()
 
 
 def final_cost(n_updates, **options):
     """After so many of the task's updates, without looking at the policies in between."""
-    learner = Learner(HalfPlaneForceOptions(runs=RUNS, **options))
+    learner = Learner(options_for("half_plane_force", runs=RUNS, **options))
     for _ in range(n_updates):
         learner.searcher.step(learner.closure)
     return tasks.base.total(learner.evaluate().values()).numpy()

@@ -12,7 +12,7 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.beyond import command as beyond
 from train.beyond.command import Beyond, grow
 from train.learning.learner import Learner
-from train.options import TwoStartsOptions, ViaPointOptions
+from train.options import options_for
 
 
 class Short(tasks.TwoStarts):
@@ -29,7 +29,7 @@ def task():
 
 
 def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
-    learner = Learner(TwoStartsOptions(runs=2, updates=4, rollouts=4), task)
+    learner = Learner(options_for("two_starts", runs=2, updates=4, rollouts=4), task)
     learner.start()
     learner.update()
     lr, cost = learner.searcher.optim.param_groups[0]["lr"], learner.history.cost[-1]
@@ -49,7 +49,7 @@ def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
 
 def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
     small = {"runs": 2, "updates": 2, "rollouts": 4}
-    one, two = ViaPointOptions(**small, cost_noise=0.1), TwoStartsOptions(**small)
+    one, two = options_for("via_point", **small, cost_noise=0.1), options_for("two_starts", **small)
     ways = {
         "recruit": [beyond.Way("a", "frozen", two, 3, trajectories=2), beyond.Way("a", "grown", two, 3, grow=(0.5,))],
         "noise": [beyond.Way("b", "three", one, wrap=partial(beyond.repeat, 3), trajectories=3)],

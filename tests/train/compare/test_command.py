@@ -13,7 +13,7 @@ from train.compare import command as compare
 from train.compare.command import Compare
 from train.folder import Interrupted
 from train.learning.learner import Learner
-from train.options import ViaPointOptions
+from train.options import options_for
 
 SMALL = {
     "tasks": ("via_point-N",),
@@ -48,7 +48,7 @@ def test_every_row_is_there_with_what_a_run_of_its_own_gives(finished, task):
     rows = {row["optimizer"]: row for row in read(finished / "table.csv")}
     assert list(rows) == [f"{o}{c}" for o in SMALL["optimizers"] for c in ("", ", trajectory")]
     factor = {"0.1": 0.1, "1": 1.0}[rows["pibb"]["factor"]]
-    cost = Learner(ViaPointOptions(runs=3, updates=2, scale=factor), task).learn().history.cost
+    cost = Learner(options_for("via_point", runs=3, updates=2, scale=factor), task).learn().history.cost
     quartiles = [f"{q:.3g}" for q in np.quantile(cost[-1], [0.25, 0.5, 0.75])]
     assert [rows["pibb"][name] for name in ("q1", "final median", "q3")] == quartiles
     assert {row["initial"] for row in rows.values()} == {f"{cost[0][0]:.3g}"}

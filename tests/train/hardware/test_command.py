@@ -13,14 +13,14 @@ import torch
 
 from train import __main__ as train_main
 from train.learning.learner import Learner
-from train.options import LwrDiggingOptions
+from train.options import options_for
 
 ROOT = Path(__file__).parents[3]
 SECONDS, N, SEED = 1.0, 3, 5
 
 
 def learner():
-    options = LwrDiggingOptions(seconds=SECONDS, rollouts=N, updates=2, threads=1, seed=SEED)
+    options = options_for("lwr_digging", seconds=SECONDS, rollouts=N, updates=2, threads=1, seed=SEED)
     return Learner(replace(options, grains="coarse"))
 
 

@@ -16,7 +16,7 @@ from torchds.errors import AllRolloutsFailedError, InvalidArgumentError, Torchds
 from train import folder as records
 from train.hardware.session import Session
 from train.learning.learner import Learner
-from train.options import LwrDiggingOptions
+from train.options import options_for
 
 ROOT = Path(__file__).parents[3]
 SECONDS, N, SEED = 1.0, 3, 5
@@ -25,7 +25,7 @@ HEADER = "time [s],x [m],z [m],angle [rad],force_x [N],force_z [N]"
 
 
 def options(**changed):
-    return replace(LwrDiggingOptions(seconds=SECONDS, rollouts=N, updates=2, threads=1, seed=SEED), **changed)
+    return replace(options_for("lwr_digging", seconds=SECONDS, rollouts=N, updates=2, threads=1, seed=SEED), **changed)
 
 
 def learner(**changed):

@@ -7,7 +7,7 @@ from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Gaussian
 from train.learning.learner import Learner
-from train.options import ViaPointOptions
+from train.options import options_for
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def task():
 
 
 def options(**given):
-    return ViaPointOptions(**{"runs": 2, "updates": 3, "rollouts": 5, **given})
+    return options_for("via_point", **{"runs": 2, "updates": 3, "rollouts": 5, **given})
 
 
 def test_what_wraps_the_trials_sees_each_of_them_and_changes_nothing_by_looking(task):

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from train.learning.learner import Learner
-from train.options import ConstrainedReachingOptions, DivergentFieldOptions, HalfPlaneForceOptions, ViaPointOptions
+from train.options import options_for
 
 RUNS, N = 20, 10  # seeds, roll-outs per update
 
 
-def medians(options, **chosen):
+def medians(task, **chosen):
     """Median cost of the noise-free policies of 20 seeds after each update; reward only."""
-    learner = Learner(options(runs=RUNS, optimizer="surrogate", **chosen))
+    learner = Learner(options_for(task, runs=RUNS, optimizer="surrogate", **chosen))
     assert learner.searcher.n_rollouts == N
     return np.median(learner.learn().history.cost, -1)
 
@@ -19,19 +19,19 @@ def medians(options, **chosen):
 @pytest.mark.parametrize(("shape", "pibb", "end"), [("N", 0.156, 0.06), ("P", 0.455, 0.02)])
 def test_via_points(shape, pibb, end):
     """PI^BB ends at `pibb` after 500 roll-outs."""
-    cost = medians(ViaPointOptions, shape=shape, exploration="trajectory", updates=50)
+    cost = medians("via_point", shape=shape, exploration="trajectory", updates=50)
     assert cost[200 // N] <= pibb
     assert cost[500 // N] <= end
 
 
 @pytest.mark.parametrize(
-    ("options", "exploration", "pibb"),
+    ("task", "exploration", "pibb"),
     [
-        (ConstrainedReachingOptions, "stable-trajectory", 0.355),
-        (DivergentFieldOptions, "trajectory", 1.549),
-        (HalfPlaneForceOptions, "trajectory", 0.625),
+        ("constrained_reaching", "stable-trajectory", 0.355),
+        ("divergent_field", "trajectory", 1.549),
+        ("half_plane_force", "trajectory", 0.625),
     ],
 )
-def test_a_budget_of_four_hundred_roll_outs_does_what_a_thousand_did(options, exploration, pibb):
+def test_a_budget_of_four_hundred_roll_outs_does_what_a_thousand_did(task, exploration, pibb):
     """PI^BB ends at `pibb` after 1000 roll-outs."""
-    assert medians(options, exploration=exploration, updates=400 // N)[-1] <= pibb
+    assert medians(task, exploration=exploration, updates=400 // N)[-1] <= pibb

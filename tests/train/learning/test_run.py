@@ -12,14 +12,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from torchds.errors import InvalidArgumentError
 from train.learning.run import run
-from train.options import ViaPointOptions
+from train.options import options_for
 
 ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return run(ViaPointOptions(runs=2, updates=4, rollouts=5, logdir=tmp_path_factory.mktemp("logs")))
+    return run(options_for("via_point", runs=2, updates=4, rollouts=5, logdir=tmp_path_factory.mktemp("logs")))
 
 
 def costs(folder):
@@ -52,7 +52,7 @@ def test_tensorboard_has_scalars_figures_and_hparams(finished):
 
 
 def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_path):
-    options = ViaPointOptions(runs=2, updates=4, rollouts=5, logdir=tmp_path)
+    options = options_for("via_point", runs=2, updates=4, rollouts=5, logdir=tmp_path)
     assert costs(run(options)) == costs(finished)
     options.seed = 1
     assert costs(run(options))[1:] != costs(finished)[1:]
@@ -96,7 +96,7 @@ def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one
 )
 def test_wrong_options_are_refused_before_a_folder_is_made(options, words, tmp_path):
     with pytest.raises(InvalidArgumentError, match=words):
-        run(ViaPointOptions(logdir=tmp_path, **options))
+        run(options_for("via_point", logdir=tmp_path, **options))
     assert not list(tmp_path.iterdir())
 
 
@@ -109,10 +109,10 @@ def test_a_wrong_option_of_the_command_is_one_line_and_exit_code_2():
 
 
 def test_zero_updates_leave_the_imitated_policy(tmp_path):
-    assert len(costs(run(ViaPointOptions(updates=0, logdir=tmp_path)))) == 1
+    assert len(costs(run(options_for("via_point", updates=0, logdir=tmp_path)))) == 1
 
 
 @pytest.mark.parametrize("exploration", ["homogeneous", "gaussian"])
 @pytest.mark.parametrize("decay", ["inverse", "none"])
 def test_every_exploration_and_decay_runs(exploration, decay, tmp_path):
-    run(ViaPointOptions(updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))
+    run(options_for("via_point", updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))

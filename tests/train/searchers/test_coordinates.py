@@ -8,7 +8,7 @@ import tasks
 from tests.motions import Short
 from torchds.exploration import Homogeneous, TrajectorySpace
 from train.learning.learner import Learner
-from train.options import ConstrainedReachingOptions, DivergentFieldOptions, ViaPointOptions
+from train.options import options_for
 from train.searchers.coordinates import Ask, Brief, CoordinateSearch, Method, root
 from train.searchers.named import METHODS
 from train.searchers.sampled import SAMPLED
@@ -23,7 +23,9 @@ def task():
 
 
 def learner(task, name, updates=3, rollouts=5, **options):
-    return Learner(ViaPointOptions(runs=2, optimizer=name, updates=updates, rollouts=rollouts, **options), task)
+    return Learner(
+        options_for("via_point", runs=2, optimizer=name, updates=updates, rollouts=rollouts, **options), task
+    )
 
 
 def counted(learner):
@@ -129,7 +131,7 @@ def test_coordinates_with_a_goal_keep_it_a_fixed_point():
     options = {"runs": 2, "updates": 2, "rollouts": 5, "shrink": "none", "optimizer": "cma"}
     task = tasks.make("constrained_reaching")
     for exploration in ("stable", "stable-trajectory"):
-        search = Learner(ConstrainedReachingOptions(exploration=exploration, **options), task).learn()
+        search = Learner(options_for("constrained_reaching", exploration=exploration, **options), task).learn()
         assert not torch.equal(search.policy.A[0], search.initial.A)
         at_goal = search.policy(search.task.goal.expand(2, 2))
         torch.testing.assert_close(at_goal, torch.zeros(2, 2, dtype=torch.float64), rtol=0, atol=1e-12)
@@ -150,7 +152,7 @@ def test_gradients_in_z_agree_with_finite_differences(task, exploration):
 
 
 def test_stiffness_is_searched_too():
-    search = Learner(DivergentFieldOptions(runs=1, optimizer="lbfgs", updates=1, rollouts=3)).learn()
+    search = Learner(options_for("divergent_field", runs=1, optimizer="lbfgs", updates=1, rollouts=3)).learn()
     assert not torch.equal(search.policy.stiffness_b[0], search.initial.stiffness_b)
     assert search.history.cost[-1][0] < search.history.cost[0][0]
 

@@ -9,7 +9,7 @@ from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from torchds.optim import PI2CMA
 from train.learning.learner import Learner
-from train.options import Optimizer, ViaPointOptions
+from train.options import Optimizer, options_for
 from train.searchers.coordinates import CoordinateSearch
 from train.searchers.named import METHODS, make_searcher, n_updates
 from train.searchers.sampled import SAMPLED, SampledSearch
@@ -23,21 +23,23 @@ def task():
 
 
 def learner(task, name, **options):
-    return Learner(ViaPointOptions(runs=2, optimizer=name, updates=3, rollouts=5, **options), task)
+    return Learner(options_for("via_point", runs=2, optimizer=name, updates=3, rollouts=5, **options), task)
 
 
 def test_a_name_makes_the_searcher_of_its_kind(task):
     policy = task.policy().expand(2)
-    sampled = make_searcher(ViaPointOptions(runs=2, optimizer="pi2cma", rollouts=6), task, policy)
+    sampled = make_searcher(options_for("via_point", runs=2, optimizer="pi2cma", rollouts=6), task, policy)
     assert isinstance(sampled, SampledSearch) and isinstance(sampled.optim, PI2CMA)
-    fixed = make_searcher(ViaPointOptions(runs=2, optimizer="cma", rollouts=6), task, policy)
+    fixed = make_searcher(options_for("via_point", runs=2, optimizer="cma", rollouts=6), task, policy)
     assert isinstance(fixed, CoordinateSearch) and fixed.optim is None
     assert (sampled.n_rollouts, fixed.n_rollouts) == (6, 6)
 
 
 @pytest.mark.parametrize(("name", "expected"), [("pibb", 11), ("adam", 11), ("finite_differences", 2)])
 def test_the_budget_is_shared_out_among_steps_of_the_size_that_a_searcher_needs(task, name, expected):
-    options = ViaPointOptions(optimizer=name, updates=11, rollouts=5)  # 55 roll-outs; P + 1 = 25 for a difference
+    options = options_for(
+        "via_point", optimizer=name, updates=11, rollouts=5
+    )  # 55 roll-outs; P + 1 = 25 for a difference
     assert n_updates(options, task, make_searcher(options, task, task.policy().expand(1))) == expected
 
 

@@ -6,7 +6,7 @@ import torch
 from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from train.learning.learner import Learner
-from train.options import ViaPointOptions
+from train.options import options_for
 from train.searchers.named import make_searcher
 from train.searchers.sampled import factor
 
@@ -17,7 +17,7 @@ def task():
 
 
 def learner(task, **options):
-    return Learner(ViaPointOptions(**{"runs": 2, "updates": 4, "rollouts": 5, **options}), task)
+    return Learner(options_for("via_point", **{"runs": 2, "updates": 4, "rollouts": 5, **options}), task)
 
 
 @pytest.mark.parametrize(

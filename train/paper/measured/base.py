@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from train.learning.learner import Learner
-from train.options import TASK_OPTIONS
+from train.options import options_for
 from train.paper.measured.digging import Experiment
 
 
@@ -37,7 +37,7 @@ def learned(task: str, runs: int, seed: int, **options: Any) -> Learner:
         seed: of the exploration noise.
         **options: fields of the task's options that differ from its defaults.
     """
-    return Learner(TASK_OPTIONS[task](runs=runs, seed=seed, **options)).learn()
+    return Learner(options_for(task, runs=runs, seed=seed, **options)).learn()
 
 
 def course(learner: Learner, term: str | None = None) -> np.ndarray:

@@ -19,7 +19,7 @@ from torchds import GMRPolicy
 from train.folder import OPTIONS, RESULTS, RunFolder, versions, write_json
 from train.learning.learner import Learner
 from train.learning.run import run
-from train.options import LwrDiggingOptions
+from train.options import RunOptions, options_for
 
 STARTS = (150.0, 400.0)  # N/m
 PAPER = "as in the paper"  # the learner that the claims are about
@@ -43,9 +43,9 @@ class Experiment:
         options: of the scene and of learning; initial stiffness, learner and seed are those of the experiment.
     """
 
-    def __init__(self, folder: Path, seed: int, options: LwrDiggingOptions | None = None) -> None:
+    def __init__(self, folder: Path, seed: int, options: RunOptions | None = None) -> None:
         self.folder, self.seed = folder, seed
-        self.options = options if options is not None else LwrDiggingOptions()
+        self.options = options if options is not None else options_for("lwr_digging")
 
     def run_folder(self, search: str, start: float) -> RunFolder:
         """Where one learning run stands, or would stand."""
@@ -59,7 +59,7 @@ class Experiment:
     def finish(self, search: str, start: float) -> RunFolder:
         """Make, continue or find finished one learning run; returns its folder."""
         folder = self.run_folder(search, start)
-        options = replace(self.options, **SEARCHES[search], initial_stiffness=start, seed=self.seed)
+        options = replace(self.options, **{**SEARCHES[search], "initial_stiffness": start, "seed": self.seed})
         if not folder.has(OPTIONS):
             folder.begin(options.task, options.to_json())
         if not folder.has(RESULTS):

@@ -15,7 +15,7 @@ from torchds import GMRPolicy
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable
 from torchds.exploration.homogeneous import chi_mean
 from train.learning.learner import Learner
-from train.options import ConstrainedReachingOptions
+from train.options import options_for
 from train.searchers.base import Closure
 
 TASK = "constrained_reaching"
@@ -57,7 +57,7 @@ def watched(runs: int, seed: int) -> Watched:
 
         return watching
 
-    learner = Learner(ConstrainedReachingOptions(runs=runs, seed=seed), wrap=watch)
+    learner = Learner(options_for("constrained_reaching", runs=runs, seed=seed), wrap=watch)
     learner.start()
     while learner.done < learner.n_updates:
         learner.update()
@@ -128,7 +128,7 @@ def variant(name: str, runs: int, seed: int) -> Variant:
         return watching
 
     learner = Learner(
-        ConstrainedReachingOptions(runs=len(levels) * runs, seed=seed, **options),
+        options_for("constrained_reaching", runs=len(levels) * runs, seed=seed, **options),
         task,
         wrap=watch,
         exploration=None if name == ALONG else lambda task, policy: exploration_of(task, policy, name, std),

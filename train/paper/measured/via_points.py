@@ -9,7 +9,7 @@ from torch import Tensor
 
 import tasks
 from train.learning.learner import Learner
-from train.options import ViaPointOptions
+from train.options import options_for
 from train.paper.measured.base import learned
 
 SHAPES = ("N", "P")
@@ -25,7 +25,7 @@ def uncontrolled(shape: str, runs: int, seed: int) -> Learner:
     """The same, learned without a control cost."""
     task = tasks.make("via_point", shape=shape)
     task.search = replace(task.search, control_weight=0.0)
-    return Learner(ViaPointOptions(runs=runs, seed=seed, shape="N" if shape == "N" else "P"), task).learn()
+    return Learner(options_for("via_point", runs=runs, seed=seed, shape="N" if shape == "N" else "P"), task).learn()
 
 
 def asymmetry(x: Tensor) -> Tensor:

@@ -1,0 +1,98 @@
+"""Classes that stand anywhere: `my_file.py:Name` and `my_package.module:Name`."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import TypeVar
+
+from torchds.errors import InvalidArgumentError, UnknownNameError
+
+T = TypeVar("T")
+
+
+def is_spec(name: str) -> bool:
+    """Whether `name` says where something stands: it has a colon."""
+    return ":" in name
+
+
+def absolute(spec: str) -> str:
+    """The same with the whole path of a file, so that it holds in other folders too."""
+    where, _, name = spec.rpartition(":")
+    return f"{Path(where).expanduser().resolve()}:{name}" if where.endswith(".py") else spec
+
+
+def short(spec: str) -> str:
+    """The name of the class alone, for folders and tables; other names stay what they are."""
+    return spec.rpartition(":")[2]
+
+
+def load_object(spec: str, base: type[T]) -> type[T]:
+    """The class that `spec` names.
+
+    Args:
+        spec: "my_file.py:Name", the path absolute or as seen from here, or "my_package.module:Name".
+        base: what it has to be a subclass of.
+
+    Raises:
+        InvalidArgumentError: no such file or module, an error while it is imported, or something else than a subclass of
+            `base`.
+        UnknownNameError: the file has no such name; the message lists the subclasses of `base` that it has.
+    """
+    where, _, name = spec.rpartition(":")
+    if not where or not name:
+        raise InvalidArgumentError(f"{spec!r} has to be FILE.py:NAME or PACKAGE.MODULE:NAME")
+    module = _from_file(Path(where)) if where.endswith(".py") else _from_module(where, spec)
+    found = getattr(module, name, None)
+    if found is None:
+        known = [n for n, value in vars(module).items() if _fits(value, base) and value.__module__ == module.__name__]
+        raise UnknownNameError(f"{base.__name__} in {where}", name, known)
+    if not _fits(found, base):
+        raise InvalidArgumentError(
+            f"{spec!r} has to be a subclass of {base.__module__}.{base.__qualname__}, got {found!r}"
+        )
+    if inspect.isabstract(found):
+        missing = ", ".join(sorted(found.__abstractmethods__))
+        raise InvalidArgumentError(f"{spec!r} is not complete: it has to define {missing}")
+    return found
+
+
+def _fits(value: object, base: type) -> bool:
+    return inspect.isclass(value) and issubclass(value, base)
+
+
+def _from_file(file: Path) -> ModuleType:
+    """The module in a file, imported once; files beside it can be imported from it."""
+    path = file.expanduser().resolve()
+    if not path.is_file():
+        raise InvalidArgumentError(f"no file {path}; give the path of a Python file, then :NAME")
+    name = f"{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise InvalidArgumentError(f"{path} cannot be imported: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _from_module(where: str, spec: str) -> ModuleType:
+    """An importable module."""
+    try:
+        return importlib.import_module(where)
+    except Exception as error:
+        raise InvalidArgumentError(
+            f"{spec!r}: module {where} cannot be imported: {type(error).__name__}: {error}; looked for it from {Path.cwd()} "
+            "and in the installed packages"
+        ) from error

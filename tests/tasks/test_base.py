@@ -1,0 +1,113 @@
+import math
+
+import pytest
+import torch
+
+import tasks
+from torchds import Demonstrations, GaussianMixture, costs, rollout
+from torchds.errors import InvalidArgumentError
+
+
+def curve(size, h, D=2):
+    s = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None]
+    bend = [h * torch.sin(torch.pi * s), h * torch.sin(2 * torch.pi * s)]
+    return size * torch.cat([s - 1, *bend[: D - 1]], 1)
+
+
+class Bend(tasks.Task):
+    """As little as a task can be."""
+
+    size: float = 1.0
+    """Of everything."""
+    dim: int = 2
+    """D."""
+
+    def default_demonstrations(self):
+        return Demonstrations([curve(self.size, h, self.dim) for h in (0.3, 0.4)], dt=0.1, units="m")
+
+    def cost_terms(self, path):
+        return {"goal": costs.goal(path.x, torch.zeros(self.dim, dtype=path.x.dtype))}
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_task_of_demonstrations_and_a_cost_has_all_the_rest(dim):
+    task = Bend(dim=dim)
+    policy, motion, scene = task.policy(), task.motion(), task.scene()
+    assert (policy.input_dim, policy.output_dim, motion.n_steps, motion.dt) == (dim, dim, 49, 0.1)
+    torch.testing.assert_close(motion.x0, task.demonstrations[0].x[0])
+    torch.testing.assert_close(scene.goal, torch.zeros(dim, dtype=torch.float64), atol=1e-9, rtol=0)
+    assert scene.unit == "m" and scene.starts.shape == (1, dim)
+    path, terms = task.evaluate(policy.expand(3))
+    assert terms["goal"].shape == (3,) and terms["control"].eq(0).all()
+    assert torch.equal(task.step_costs(path).sum(-1), task.cost(path))
+    alone = Bend(dim=dim, mixture=task.mixture)
+    assert alone.source is None
+    torch.testing.assert_close(alone.policy().A, policy.A, rtol=0, atol=0)
+
+
+def test_its_name_is_that_of_the_class_and_its_options_are_its_fields():
+    class LongerName3D(Bend):
+        width: float = 2.0
+
+    assert (Bend.name, LongerName3D.name) == ("bend", "longer_name3_d")
+    assert (LongerName3D(size=3.0).size, LongerName3D(width=1.0).width, LongerName3D().dim) == (3.0, 1.0, 2)
+    with pytest.raises(TypeError):
+        LongerName3D(1.0)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_the_sizes_of_a_new_task_follow_its_unit(factor):
+    here, there = Bend().numbers, Bend(size=factor).numbers
+    assert there.mean_speed == pytest.approx(
+        factor * here.mean_speed, rel=0.02
+    )  # EM stops by the likelihood, which knows units
+    assert there.std == pytest.approx(here.std, rel=0.02)
+    task = Bend(size=factor)
+    v = rollout(task.policy(), *task.motion()).v.detach()
+    assert there.mean_speed == pytest.approx(0.12 * float(v.norm(dim=-1).mean()))
+
+
+def test_the_control_weight_makes_a_change_as_large_as_the_policy_cost_a_tenth_of_the_motion():
+    task = Bend()
+    policy = task.policy()
+    initial = float(task.cost(task.rollout(policy)).detach())
+    assert task.numbers.control_weight > 0
+    policy.unpack(2 * policy.pack().detach())
+    assert float(task.evaluate(policy)[1]["control"].detach()) == pytest.approx(0.1 * initial, rel=1e-6)
+
+
+def test_a_size_that_is_given_stays():
+    class Given(Bend):
+        search = tasks.SearchSettings(control_weight=0.0, mean_speed=0.5)
+
+    assert Given().numbers[:2] == (0.0, 0.5)
+    assert math.isfinite(Given().numbers.std)
+
+
+def test_a_mixture_and_demonstrations_are_read_from_paths(tmp_path):
+    own = Bend()
+    own.mixture.save(tmp_path / "mixture.npz")
+    given = Bend(mixture=str(tmp_path / "mixture.npz"))
+    assert isinstance(given.mixture, GaussianMixture) and torch.equal(given.mixture.means, own.mixture.means)
+
+
+def test_a_name_belongs_to_one_class(monkeypatch):
+    monkeypatch.setattr(tasks.registry, "TASKS", dict(tasks.TASKS))
+    assert tasks.register(Bend) is Bend and tasks.register(Bend) is Bend
+    assert isinstance(tasks.make("bend", size=2.0), Bend)
+
+    class Other(Bend):
+        name = "via_point"
+
+    with pytest.raises(
+        InvalidArgumentError, match=r"the name 'via_point' of .*Other belongs to tasks.via_point.ViaPoint"
+    ):
+        tasks.register(Other)
+
+    class Half(tasks.Task):
+        pass
+
+    with pytest.raises(
+        InvalidArgumentError, match="Half is not complete: it has to define cost_terms, default_demonstrations"
+    ):
+        tasks.register(Half)
