@@ -21,6 +21,7 @@ LIBRARY = [
     {"sensitivity", "fits", "recruiting"},
     {"exploration"},
     {"optim", "plotting"},
+    {"testing"},
 ]
 COMMANDS = [
     {"options", "tables", "statistics"},

@@ -29,12 +29,13 @@ NEEDS = {
 
 HIDE = """
 import sys
+from importlib.machinery import PathFinder
 hidden = set(sys.argv[1].split())
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in hidden:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Absent())
+class Visible(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.split(".")[0] in hidden else super().find_spec(name, path, target)
+sys.meta_path[sys.meta_path.index(PathFinder)] = Visible
 """
 
 WITHOUT_EXTRAS = """

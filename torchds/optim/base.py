@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Unpack
 
 import torch
@@ -34,8 +35,13 @@ class Update(NamedTuple):
     failed: Tensor
 
 
-_OF_TORCH = {*vars(torch.optim.Optimizer([{"params": []}], {})), "step"}
-"""Attributes that torch and its schedulers give an optimizer: hooks and wrappers, which copies do not take along."""
+@cache
+def _of_torch() -> frozenset[str]:
+    """Attributes that torch and its schedulers give an optimizer: hooks and wrappers, which copies do not take along.
+
+    Asked for when something is copied: torch's first optimizer imports its compiler.
+    """
+    return frozenset({*vars(torch.optim.Optimizer([{"params": []}], {})), "step"})
 
 
 class PolicySearch(torch.optim.Optimizer):
@@ -143,7 +149,7 @@ class PolicySearch(torch.optim.Optimizer):
 
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles keep: all attributes but those of torch, the generator by its state."""
-        own = {name: value for name, value in vars(self).items() if name not in _OF_TORCH}
+        own = {name: value for name, value in vars(self).items() if name not in _of_torch()}
         return {**super().__getstate__(), **own, "generator": self.generator.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
