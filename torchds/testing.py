@@ -42,7 +42,7 @@ def check_policy(policy: Any, x: Tensor) -> None:
     batch = policy.outputs(policy.features(x.expand(N, *x.shape)), many)
     for one, some in zip(batch, many, strict=True):
         _same(one, policy.outputs(features, some), "a batch of rows has to give what each gives alone")
-    rollout(policy, x, n_steps=3, dt=0.01).x.sum().backward()  # type: ignore[no-untyped-call]
+    rollout(policy, x, n_steps=3, dt=0.01).x.sum().backward()
     for name, p in policy.row_parameters.items():
         _holds(
             p.grad is not None and bool(p.grad.isfinite().all()), f"{name!r} has no finite gradient along a roll-out"
@@ -162,9 +162,9 @@ def check_cost(cost: Callable[[Rollout], Tensor], path: Rollout) -> None:
     costs = cost(path)
     _holds(costs.shape == path.x.shape[:1], f"{len(path.x)} roll-outs need as many costs, got {tuple(costs.shape)}")
     for i, value in enumerate(costs):
-        parts = {f.name: getattr(path, f.name) for f in dataclasses.fields(path)}
-        alone = dataclasses.replace(path, **{k: v[i] if isinstance(v, Tensor) else v for k, v in parts.items()})
-        _same(value, cost(alone), "the cost of a roll-out must not depend on the others")
+        parts: dict[str, Any] = {f.name: getattr(path, f.name) for f in dataclasses.fields(path)}
+        parts = {name: part[i] if isinstance(part, Tensor) else part for name, part in parts.items()}
+        _same(value, cost(Rollout(**parts)), "the cost of a roll-out must not depend on the others")
 
 
 def _normals(*shape: int) -> Tensor:

@@ -24,6 +24,7 @@ NEEDED_ANYWAY = {"threadpoolctl"}  # by scikit-learn
 # What needs an extra: it works where the extra is there, and names the extra where it is not.
 NEEDS = {
     "lasa": "torchds.load_lasa('NShape', n_demos=1)",
+    "plot": "import torchds.plotting",
     "metrics": "torchds.metrics.dtwd(torch.zeros(3, 2), torch.ones(4, 2))",
 }
 
