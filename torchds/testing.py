@@ -91,9 +91,8 @@ def check_optimizer(make: Callable[[list[nn.Parameter]], PolicySearch]) -> None:
 
     for _ in range(20):
         optim.step(closure)
-    _holds(
-        float(closure()) < 1.0, f"20 updates have to more than halve a quadratic cost of 2, got {float(closure()):.3g}"
-    )
+    left = float(closure().detach())
+    _holds(left < 1.0, f"20 updates have to more than halve a quadratic cost of 2, got {left:.3g}")
     twin = nn.Parameter(theta.detach().clone())
     other = make([twin])
     other.load_state_dict(optim.state_dict())
