@@ -34,6 +34,7 @@ def held(scenes, start, n_steps):
         scenes.step(scenes.bias + 300 * (start - scenes.q) - 20 * scenes.v)
 
 
+@pytest.mark.slow
 def test_the_default_bed_is_at_rest_and_whole():
     scenes = Scenes(gravel.Gravel(), 1)
     q = lwr.posture(*torch.tensor([0.59, 0.30, -0.65], dtype=torch.float64))
@@ -153,6 +154,7 @@ def test_a_roll_out_that_explodes_is_marked_and_leaves_the_others_alone(scenes, 
     assert scenes.failed.tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_no_bit():
     reference = scoop(4.0)[:500]
     s = torch.tensor([75.0, 300.0, 450.0])
@@ -175,6 +177,7 @@ def test_without_gravel_in_the_way_the_tool_follows():
     assert path.load.abs().max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_soft_arm_loads_less_than_a_stiff_one():
     """The trade-off that the stiffness is learned for: 75 N/m lag behind and scrape, 300 N/m dig."""
     path = dig(Scenes(COARSE, 4), scoop(7.0), torch.tensor([75.0, 75.0, 300.0, 300.0]), [1, 2, 1, 2])

@@ -34,6 +34,7 @@ def trial():
     return task, policy, task.rollout(policy)
 
 
+@pytest.mark.slow
 def test_the_reference_is_what_a_loop_over_eq_36_to_38_gives(trial):
     task, policy, _ = trial
     _, reference, stiffness = task.reference(policy)
@@ -108,6 +109,7 @@ def test_a_users_recordings_are_learned_from(tmp_path):
     assert task.policy().A.shape == (4, 3, 2)
 
 
+@pytest.mark.slow
 def test_what_the_arm_cannot_do_fails_and_leaves_the_others_alone():
     task, again = (tasks.make("lwr_digging", **SHORT) for _ in range(2))
     good, bad = task.policy().expand(3), task.policy().expand(3)
@@ -121,6 +123,7 @@ def test_what_the_arm_cannot_do_fails_and_leaves_the_others_alone():
     assert cost[1] == again.cost(again.rollout(good))[1]
 
 
+@pytest.mark.slow
 def test_failed_trials_have_no_weight_and_are_counted():
     task = tasks.make("lwr_digging", **SHORT)
     policy = task.policy()
@@ -136,6 +139,7 @@ def test_failed_trials_have_no_weight_and_are_counted():
     assert optim.last.weights[1] == 0.0
 
 
+@pytest.mark.slow
 def test_a_run_that_is_resumed_meets_the_same_beds():
     options = options_for("lwr_digging", grains="coarse", seconds=1.0, updates=2, rollouts=2, threads=1)
     whole = Learner(options).learn()
@@ -149,6 +153,7 @@ def test_a_run_that_is_resumed_meets_the_same_beds():
     assert torch.equal(second.policy.pack(), whole.policy.pack())
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_changes_no_bit_of_the_cost():
     costs = []
     for threads in (1, 2):
@@ -158,6 +163,7 @@ def test_the_number_of_threads_changes_no_bit_of_the_cost():
     assert len(set(costs[0].tolist())) == 3  # three beds
 
 
+@pytest.mark.slow
 def test_runs_and_roll_outs_are_batch_dimensions():
     task = tasks.make("lwr_digging", **SHORT)
     path = task.rollout(task.policy().expand(2, 3))
@@ -168,6 +174,7 @@ def test_runs_and_roll_outs_are_batch_dimensions():
     assert task.trials == 6
 
 
+@pytest.mark.slow
 def test_the_film_shows_the_arm_move():
     task = tasks.make("lwr_digging", **SHORT)
     path = task.rollout(task.policy())

@@ -81,6 +81,7 @@ def test_the_force_is_ten_times_the_distance_away_from_the_path(convention, expe
     assert not task.force()(0.0, on_path, torch.zeros_like(on_path)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convention", ["paper", "released"])
 @pytest.mark.parametrize("stiffness", ["diagonal", "isotropic"])
 def test_cost_terms_are_those_of_a_loop(convention, stiffness, tracked, vary):
@@ -111,6 +112,7 @@ def test_cost_terms_are_those_of_a_loop(convention, stiffness, tracked, vary):
             assert terms[name][r].item() == pytest.approx(value, rel=1e-7), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("convention", ["paper", "released"])
 def test_stiffness_is_cut_at_the_bounds_and_costs_as_applied(convention, tracked):
     task = make(convention)
@@ -165,6 +167,7 @@ def test_the_released_problem_without_data_says_what_to_give():
         task.policy()
 
 
+@pytest.mark.slow
 def test_stiffness_in_a_given_mixture_gives_way_to_the_initial_one():
     """Also where a constant column has made a mixture that is nearly singular."""
     mixture = make("released").mixture
@@ -195,6 +198,7 @@ def final(n_updates=100, **options):
     return tasks.base.total(learned(n_updates, **options)[2].values()).numpy()
 
 
+@pytest.mark.slow
 def test_via_points_are_reached_at_a_lower_stiffness_in_every_run():
     """Figs 10 and 11: 100 updates of ten roll-outs."""
     _, before, after = learned()

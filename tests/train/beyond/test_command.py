@@ -47,6 +47,7 @@ def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
     assert learner.searcher.optim.param_groups[0]["lr"] < lr
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_measured(monkeypatch, tmp_path, task):
     small = {"runs": 2, "updates": 2, "rollouts": 4}
     one, two = options_for("via_point", **small, cost_noise=0.1), options_for("two_starts", **small)

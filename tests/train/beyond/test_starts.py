@@ -37,6 +37,7 @@ def test_failed_and_equal_costs_stay_what_they_are():
     assert comparable(costs, 2, "capped").tolist() == [3.0, 3.0, float("inf"), 3.0, 4.0, 3.0]
 
 
+@pytest.mark.slow
 def test_each_policy_is_tried_from_its_own_start(task, randn):
     policy = task.policy().expand(4, 3)
     policy.unpack(policy.pack().detach() + 1e-3 * randn(*policy.pack().shape))

@@ -44,6 +44,7 @@ def read(path):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_every_row_is_there_with_what_a_run_of_its_own_gives(finished, task):
     rows = {row["optimizer"]: row for row in read(finished / "table.csv")}
     assert list(rows) == [f"{o}{c}" for o in SMALL["optimizers"] for c in ("", ", trajectory")]
@@ -89,6 +90,7 @@ def test_runs_that_exist_are_not_made_again(finished, monkeypatch):
     assert read(again.main() / "table.csv") == read(finished / "table.csv")
 
 
+@pytest.mark.slow
 def test_an_interrupted_comparison_continues_and_ends_the_same(finished, tmp_path, monkeypatch):
     left, update = [5], Learner.update
 

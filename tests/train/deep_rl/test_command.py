@@ -18,6 +18,7 @@ def results(tmp_path, **options):
     return folder, json.loads((folder / "results.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["ppo", "sac"])
 def test_a_run_leaves_results_like_those_of_the_other_optimizers(optimizer, tmp_path):
     state = torch.get_rng_state(), np.random.get_state()[1].copy()
@@ -36,6 +37,7 @@ def test_a_run_leaves_results_like_those_of_the_other_optimizers(optimizer, tmp_
     assert torch.equal(torch.get_rng_state(), state[0]) and (np.random.get_state()[1] == state[1]).all()
 
 
+@pytest.mark.slow
 def test_a_run_depends_on_its_seed_alone(tmp_path):
     _, both = results(tmp_path, runs=2, updates=1, rollouts=2)
     _, second = results(tmp_path, runs=1, seed=1, updates=1, rollouts=2)
@@ -43,6 +45,7 @@ def test_a_run_depends_on_its_seed_alone(tmp_path):
     assert both["cost"][-1][0] != both["cost"][-1][1]
 
 
+@pytest.mark.slow
 def test_agents_begin_at_the_demonstrated_policy(tmp_path):
     _, content = results(tmp_path, runs=1, updates=1, rollouts=2)
     task = tasks.make("via_point")

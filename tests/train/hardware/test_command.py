@@ -37,6 +37,7 @@ def command(monkeypatch, capsys):
     return type_
 
 
+@pytest.mark.slow
 def test_a_session_with_a_robot_in_another_process_learns_as_one_in_this_process(tmp_path, command):
     folder = tmp_path / "my session"
     start = f"start --initial-stiffness 150 --seconds {SECONDS} --rollouts {N} --updates 2 --seed {SEED}"

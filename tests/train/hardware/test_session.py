@@ -138,6 +138,7 @@ def test_a_reference_out_of_reach_is_not_given_to_the_robot(tmp_path):
     assert mine.ask().out_of_reach == missing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("optimizer", "exploration"), [("pibb", "homogeneous"), ("surrogate", "trajectory"), ("pi2cma", "trajectory")]
 )
@@ -181,6 +182,7 @@ def same(a, b):
     return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
 
 
+@pytest.mark.slow
 def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_one(tmp_path, monkeypatch):
     kills, move = 0, os.replace
 
