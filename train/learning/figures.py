@@ -13,7 +13,12 @@ from train.learning.learner import Learner
 
 
 def of_run(learner: Learner) -> dict[str, Figure]:
-    """All figures of a finished run, by name."""
+    """All figures of a finished run, by name; the field is one of a plane, and not drawn in other dimensions."""
+    if (D := learner.task.scene().starts.shape[-1]) != 2:
+        print(
+            f"motion.png is not drawn: the positions of {learner.task.name} have {D} dimensions, and fields are drawn in 2"
+        )
+        return {"learning_curves": curves(learner.history)}
     drawn = trial(learner) if learner.task.name == "lwr_digging" else motion(learner)
     return {"motion": drawn, "learning_curves": curves(learner.history)}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tasks import Task
+from tasks.loading import is_spec, load_object
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration, Gaussian, Stable, TrajectorySpace
@@ -17,7 +18,11 @@ def along_motion(options: RunOptions) -> bool:
 
 
 def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Exploration:
-    """The exploration that `--exploration`, `--noise` and `--shrink` name."""
+    """The exploration that `--exploration`, `--noise` and `--shrink` name; your own gets the policy, and the noise if given."""
+    if is_spec(options.exploration):
+        size_given = () if options.noise is None else (options.noise,)
+        own: Any = load_object(options.exploration, Exploration)
+        return own(policy, *size_given)
     search, numbers, learn = task.search, task.numbers, options.learn
     std = numbers.std if options.noise is None else options.noise
     if options.exploration == "gaussian":

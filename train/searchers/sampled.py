@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
 from tasks import Task
+from tasks.loading import is_spec, load_object
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
@@ -101,7 +102,8 @@ def sampled_search(
 ) -> SampledSearch:
     """The optimizer that `--optimizer` names, over `n_updates` updates of `n_rollouts` roll-outs."""
     along = along_motion(options)
-    optim = SAMPLED[options.optimizer](
+    kind: Any = load_object(options.optimizer, PIBB) if is_spec(options.optimizer) else SAMPLED[options.optimizer]
+    optim = kind(
         policy.parameters(),
         lr=options.scale,
         exploration=exploration,
