@@ -14,6 +14,8 @@ velocity outputs, `Q` stiffness outputs, `T` steps, `P` flattened parameters, `F
 vector axis -1, batches lead. A policy has a `batch_shape` (that of `A`, in front of `K, O, D`); a state has shape
 `(*batch_shape, *points, D)`. While `PIBB` evaluates, every parameter carries an extra leading `N`.
 
+Stability: stable.
+
 Example:
     >>> import torch, torchds
     >>> demos = torchds.load_lasa("NShape", n_demos=3, duration=12.0)

@@ -116,7 +116,8 @@ def check_positive(name: str, value: float) -> None:
 
 def vector(name: str, value: Array) -> Tensor:
     """A finite (C,) tensor, of one number too."""
-    vector = torch.atleast_1d(tensor(name, value))
+    vector = tensor(name, value)
+    vector = vector if vector.ndim else vector.reshape(1)
     if vector.ndim != 1 or not len(vector) or not vector.isfinite().all():
         raise InvalidArgumentError(f"{name} has to be one row of finite numbers, got {value!r}")
     return vector

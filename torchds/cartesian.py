@@ -1,4 +1,7 @@
-"""Cartesian impedance control of a serial arm whose task lies in a plane (section 6)."""
+"""Cartesian impedance control of a serial arm whose task lies in a plane (section 6).
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

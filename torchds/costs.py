@@ -1,4 +1,7 @@
-"""Cost terms over trajectories, and the control cost of Algorithm 1."""
+"""Cost terms over trajectories, and the control cost of Algorithm 1.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -37,12 +40,14 @@ def acceleration(v: Tensor) -> Tensor:
 
 def path_length(v: Tensor, dt: float) -> Tensor:
     """Σ_j |v_j| dt, `(...)` for `v` `(..., T, O)` (Eq. 41)."""
-    return torch.linalg.vector_norm(v, dim=-1).sum(-1) * dt
+    speed: Tensor = torch.linalg.vector_norm(v, dim=-1)
+    return speed.sum(-1) * dt
 
 
 def stiffness(s: Tensor) -> Tensor:
     """Σ_j |s_j|, `(...)` for the stiffness `s` `(..., T, D)` applied to each axis [N/m] (Eq. 49)."""
-    return torch.linalg.vector_norm(s, dim=-1).sum(-1)
+    size: Tensor = torch.linalg.vector_norm(s, dim=-1)
+    return size.sum(-1)
 
 
 def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: float | Tensor) -> Tensor:

@@ -1,4 +1,7 @@
-"""The error family: every message says what was received, what is allowed, and how to fix it."""
+"""The error family: every message says what was received, what is allowed, and how to fix it.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

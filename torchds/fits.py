@@ -3,6 +3,8 @@
 A fit starts from a mixture found by EM and learns gating, slopes and metric by Adam with exact gradients. The condition
 (`torchds.stability`) is built into the parameters, so no constraint is left to enforce. Everything happens in
 normalised units: positions relative to the goal and velocities, each of unit root mean square.
+
+Stability: stable.
 """
 
 from __future__ import annotations
@@ -146,7 +148,7 @@ def fit_stable(
         optimizer.zero_grad()
         # The same for all: a fit does not depend on its batch.
         jitter = torch.randn(x.shape[1:], generator=generator, dtype=x.dtype)
-        losses(x + width * jitter).sum().backward()
+        torch.autograd.backward(losses(x + width * jitter).sum())
         optimizer.step()
         schedule.step()
     with torch.no_grad():
@@ -160,7 +162,8 @@ def _regress(start: GaussianMixture, samples: Samples, ridge: float = 1e-3) -> T
     weight = start.marginal(0, D).component_log_prob(x).softmax(-1) * samples.weight.unsqueeze(-1)  # (B, N, K)
     weighted = weight.mT.unsqueeze(-1) * x.unsqueeze(1)  # (B, K, N, D)
     damping = ridge / start.n_components * torch.eye(D, dtype=x.dtype)
-    return torch.linalg.solve(weighted.mT @ x.unsqueeze(1) + damping, weighted.mT @ v.unsqueeze(1)).mT
+    slopes: Tensor = torch.linalg.solve(weighted.mT @ x.unsqueeze(1) + damping, weighted.mT @ v.unsqueeze(1)).mT
+    return slopes
 
 
 def _velocity_loss(v: Tensor, predicted: Tensor, direction: float) -> Tensor:
@@ -190,14 +193,14 @@ def _initial_metric(samples: Samples) -> Tensor:
 
     def rise() -> Tensor:
         gradient = x @ metric()  # (starts, B, N, D)
-        cosine = (gradient * v).sum(-1) / gradient.norm(dim=-1).clamp(min=1e-9)
+        cosine: Tensor = (gradient * v).sum(-1) / gradient.norm(dim=-1).clamp(min=1e-9)
         return cosine.clamp(min=0).mean(-1) + 1e-3 * raw.square().mean((-2, -1))
 
     optimizer = torch.optim.Adam([raw], lr=0.2, betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 0.2, total_steps=METRIC_STEPS, pct_start=0.2)
     for _ in range(METRIC_STEPS):
         optimizer.zero_grad()
-        rise().sum().backward()
+        torch.autograd.backward(rise().sum())
         optimizer.step()
         schedule.step()
     with torch.no_grad():

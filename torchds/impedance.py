@@ -1,4 +1,7 @@
-"""Impedance control: a plant pulled along its reference by a spring and a damper (section 5)."""
+"""Impedance control: a plant pulled along its reference by a spring and a damper (section 5).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -112,8 +115,8 @@ def injected_energy(path: Rollout) -> Tensor:
     Args:
         path: a roll-out under `ImpedanceControlled`.
     """
-    s = path.plant.stiffness[..., 1:, :]
-    stretch = (path.reference - path.plant.x)[..., 1:-1, :]
+    s: Tensor = path.plant.stiffness[..., 1:, :]
+    stretch: Tensor = (path.reference - path.plant.x)[..., 1:-1, :]
     return (0.5 * s.diff(dim=-2) * stretch.square()).sum(-1).clamp_min(0.0).sum(-1)
 
 

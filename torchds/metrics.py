@@ -2,6 +2,8 @@
 
 In all of them the learned motion comes first and the demonstrated one last.
 Numbers of different papers compare only if sub-sampling, units and normalisation agree; here nothing is normalised.
+
+Stability: stable.
 """
 
 from __future__ import annotations

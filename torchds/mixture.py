@@ -1,4 +1,7 @@
-"""Gaussian mixtures over position, velocity and stiffness: fit, density, conditional (Eq. 1-3)."""
+"""Gaussian mixtures over position, velocity and stiffness: fit, density, conditional (Eq. 1-3).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -100,8 +103,9 @@ class GaussianMixture:
         F, K = y.shape[-1], self.n_components
         means = self.means.reshape(*self.batch_shape, *points, K, F)
         factors = self._factors.reshape(*self.batch_shape, *points, K, F, F)
-        z = torch.linalg.solve_triangular(factors, (y.unsqueeze(-2) - means).unsqueeze(-1), upper=False).squeeze(-1)
-        log_det = factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        away = (y.unsqueeze(-2) - means).unsqueeze(-1)
+        z: Tensor = torch.linalg.solve_triangular(factors, away, upper=False).squeeze(-1)
+        log_det: Tensor = factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         log_priors = self.priors.log().reshape(*self.batch_shape, *points, K)
         return log_priors - 0.5 * (z.square().sum(-1) + F * math.log(2 * math.pi)) - log_det
 

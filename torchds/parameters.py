@@ -171,7 +171,7 @@ def broadcast_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
     Raises:
         RuntimeError: they do not broadcast.
     """
-    return tuple(torch.broadcast_shapes(*shapes))
+    return tuple(torch.broadcast_shapes(*shapes))  # type: ignore[no-untyped-call]
 
 
 def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:

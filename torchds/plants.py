@@ -1,4 +1,7 @@
-"""Plants: what tracks the reference motion. A plant is anything with `reset` and `step`; here, a point mass."""
+"""Plants: what tracks the reference motion. A plant is anything with `reset` and `step`; here, a point mass.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Figures of fields, motions and learning curves, drawn into matplotlib axes that the caller owns."""
+"""Figures of fields, motions and learning curves, drawn into matplotlib axes that the caller owns.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
-from matplotlib.patches import Ellipse
 from torch import Tensor
 
 from torchds.demonstrations import Demonstrations
+from torchds.errors import MissingPackageError
 from torchds.policy import GMRPolicy
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.patches import Ellipse
+except ImportError as error:
+    raise MissingPackageError("matplotlib", "plot", "drawing figures") from error
 
 # One colour for one kind of thing, in all figures.
 FIELD = "#9db7d5"

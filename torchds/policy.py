@@ -1,4 +1,7 @@
-"""The policy: a mixture of linear dynamical systems with a frozen gating (Eq. 1-13, 34, 42-45)."""
+"""The policy: a mixture of linear dynamical systems with a frozen gating (Eq. 1-13, 34, 42-45).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -213,7 +216,7 @@ class GMRPolicy(ExpertParameters):
     def covariances(self) -> Tensor:
         """`(K, D, D)` input covariances Σ_k of the gating."""
         identity = torch.eye(self.input_dim, dtype=self.factors.dtype, device=self.factors.device)
-        L = torch.linalg.solve_triangular(self.factors, identity.expand_as(self.factors), upper=False)
+        L: Tensor = torch.linalg.solve_triangular(self.factors, identity.expand_as(self.factors), upper=False)
         return L @ L.mT
 
     def extra_repr(self) -> str:

@@ -1,4 +1,7 @@
-"""New Gaussians where the motion needs them, while it learns: the paper's future work on its frozen gating."""
+"""New Gaussians where the motion needs them, while it learns: the paper's future work on its frozen gating.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Roll-outs: Eq. 4 over any batch of policies and any number of starts, one tensor call a time step."""
+"""Roll-outs: Eq. 4 over any batch of policies and any number of starts, one tensor call a time step.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from torch import Tensor
 
 from torchds import visits
 from torchds.errors import InvalidArgumentError
+from torchds.parameters import broadcast_shape
 from torchds.plants import Command, Plant
 
 StopCondition = Callable[[Tensor, Tensor], Tensor]
@@ -272,7 +276,7 @@ def record(
 
 def _checked_shift(shift: Tensor, x: Tensor) -> Tensor:
     try:
-        fits = shift.shape[-1:] == x.shape[-1:] and torch.broadcast_shapes(shift.shape, x.shape) == x.shape
+        fits = shift.shape[-1:] == x.shape[-1:] and broadcast_shape(shift.shape, x.shape) == x.shape
     except RuntimeError:
         fits = False
     if not fits:

@@ -1,4 +1,7 @@
-"""How a motion moves when its parameters do: exact derivatives of a roll-out, forward in time."""
+"""How a motion moves when its parameters do: exact derivatives of a roll-out, forward in time.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

@@ -7,6 +7,8 @@ V(x) = (x − x*)ᵀ P (x − x*) falls along every motion, whatever the gating,
 
 P = I is SEDS, any other P is P-QLF. In the coordinates z = C x with P = CᵀC the condition says that the symmetric part
 of C A C⁻¹ is below −margin I; hence |x − x*|_P ≤ e^{−margin t} |x_0 − x*|_P: the margin is a rate of convergence [1/s].
+
+Stability: stable.
 """
 
 from __future__ import annotations
@@ -95,7 +97,8 @@ def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:
 
     Negative means that A is in the set; minus it is the rate at which |x|_P is certain to fall. Differentiable.
     """
-    return torch.linalg.eigvalsh(_symmetric(_seen_by(P, A)))[..., -1]
+    eigenvalues: Tensor = torch.linalg.eigvalsh(_symmetric(_seen_by(P, A)))
+    return eigenvalues[..., -1]
 
 
 def stable_matrices(factor: Tensor, skew: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -> Tensor:
@@ -145,7 +148,7 @@ def project(A: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0)
     """
     values, vectors = torch.linalg.eigh(_symmetric(_seen_by(P, A)))
     margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device).unsqueeze(-1)
-    excess = (vectors * (values + margin).clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    excess: Tensor = (vectors * (values + margin).clamp(min=0).unsqueeze(-2)) @ vectors.mT
     if P is not None:
         C = _root(P)
         excess = torch.linalg.solve_triangular(C, excess @ C, upper=True)
@@ -247,7 +250,8 @@ def _root(P: Tensor) -> Tensor:
     asymmetric = (P - P.mT).abs() > 1e-5 * P.abs().amax((-2, -1), keepdim=True)
     if info.any() or asymmetric.any():
         raise InvalidArgumentError(f"P has to be symmetric positive definite, got {P.tolist()}")
-    return factor.mT
+    C: Tensor = factor.mT
+    return C
 
 
 def _seen_by(P: Tensor | None, A: Tensor) -> Tensor:
@@ -259,7 +263,8 @@ def _seen_by(P: Tensor | None, A: Tensor) -> Tensor:
             f"P has to be (..., {A.shape[-1]}, {A.shape[-1]}) for these slopes, got {tuple(P.shape)}"
         )
     C = _root(P)
-    return torch.linalg.solve_triangular(C, C @ A, upper=True, left=False)
+    seen: Tensor = torch.linalg.solve_triangular(C, C @ A, upper=True, left=False)
+    return seen
 
 
 def _checked_goal(goal: Tensor, dim: int) -> Tensor:

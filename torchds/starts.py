@@ -66,7 +66,7 @@ def fit_batch(
         options = {"covariance_floor": COVARIANCE_FLOOR, "n_init": 1, "tol": 1e-3, "seed": s}
         y = torch.cat([samples.x[i], samples.v[i]], -1)[samples.weight[i] > 0]
         if K == "bic":
-            parts = y.split([len(demo.x) for demo in motion])
+            parts = torch.split(y, [len(demo.x) for demo in motion])
             thinned = torch.cat([part[:: -(-len(part) // BIC_SAMPLES)] for part in parts])
             K = GaussianMixture.fit(thinned, "bic", max_components=max_components, **options).n_components
         fits.append(GaussianMixture.fit(y, K, **options))

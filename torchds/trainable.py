@@ -2,6 +2,8 @@
 
 `GMRPolicy` freezes its gating, since policy search needs that; a fit to demonstrations moves the Gaussians as well.
 Letters: `B` fits, `K` components (padded to the largest of the batch), `N` samples of a fit, `D` dimensions.
+
+Stability: experimental.
 """
 
 from __future__ import annotations
@@ -105,7 +107,7 @@ class TrainableMixture(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """The velocity `(B, N, D)` at `x` `(B, N, D)`."""
-        slope = (self.log_weights(x).softmax(-1) @ self.A.flatten(-2)).unflatten(-1, self.A.shape[-2:])
+        slope = torch.unflatten(self.log_weights(x).softmax(-1) @ self.A.flatten(-2), -1, self.A.shape[-2:])
         return (slope * x.unsqueeze(-2)).sum(-1)
 
     def log_likelihood(self, x: Tensor, v: Tensor) -> Tensor:
@@ -126,7 +128,8 @@ class TrainableMixture(nn.Module):
 
 def _precision_root(covariance: Tensor) -> Tensor:
     """U, upper triangular, with Σ⁻¹ = UᵀU."""
-    return torch.linalg.cholesky(torch.cholesky_inverse(torch.linalg.cholesky(covariance)), upper=True)
+    U: Tensor = torch.linalg.cholesky(torch.cholesky_inverse(torch.linalg.cholesky(covariance)), upper=True)
+    return U
 
 
 def _log_diagonal(root: Tensor) -> Tensor:

@@ -3,6 +3,8 @@
 The control cost of Algorithm 1 needs the features along every roll-out, a closure returns only costs. So roll-outs
 report their features here, and an optimizer listens while its closure runs. A foreign simulator reports with one call:
 `torchds.visits.report(policy, policy.features(x))`.
+
+Stability: experimental.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Exploration: objects that shape unit normals into parameter noise (section 4)."""
+"""Exploration: objects that shape unit normals into parameter noise (section 4).
+
+Stability: stable.
+"""
 
 from torchds.exploration.base import Exploration as Exploration
 from torchds.exploration.gaussian import Gaussian as Gaussian

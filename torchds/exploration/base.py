@@ -1,4 +1,7 @@
-"""What an optimizer asks of an exploration."""
+"""What an optimizer asks of an exploration.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Independent Gaussian noise on any parameters."""
+"""Independent Gaussian noise on any parameters.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.exploration.homogeneous import chi_mean
 from torchds.exploration.shares import motion_size
+from torchds.parameters import broadcast_shape
 from torchds.policy import GMRPolicy
 
 
@@ -92,7 +96,7 @@ class Gaussian(Exploration):
             raise InvalidArgumentError(f"{len(self.std)} values of std for {len(shapes)} parameters {shapes}")
         for value, shape in zip(self.std, shapes, strict=True):
             try:
-                fits = torch.broadcast_shapes(torch.as_tensor(value).shape, shape) == shape
+                fits = broadcast_shape(torch.as_tensor(value).shape, shape) == shape
             except RuntimeError:
                 fits = False
             if not fits:

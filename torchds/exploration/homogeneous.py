@@ -1,4 +1,7 @@
-"""Noise that is homogeneous and isotropic in task space (section 4.1)."""
+"""Noise that is homogeneous and isotropic in task space (section 4.1).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

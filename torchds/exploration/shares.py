@@ -1,4 +1,7 @@
-"""How large a motion is: what noise is measured by where its size is a share, so that no unit decides about it."""
+"""How large a motion is: what noise is measured by where its size is a share, so that no unit decides about it.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

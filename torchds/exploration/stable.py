@@ -1,4 +1,7 @@
-"""Noise that keeps a stable policy stable (section 4.2)."""
+"""Noise that keeps a stable policy stable (section 4.2).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Noise that is homogeneous along the whole motion (beyond section 4.1)."""
+"""Noise that is homogeneous along the whole motion (beyond section 4.1).
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 
@@ -204,7 +207,8 @@ class TrajectorySpace(Exploration):
             variance = variance * values / (values + self.damping * largest)
         variance = torch.where(good, variance, 1.0)  # no finite Jacobian: the homogeneous noise
         # The symmetric root: eigenvectors have no sign or order of their own, and must not decide about the noise.
-        return chart @ (vectors * variance.sqrt().unsqueeze(-2)) @ vectors.mT
+        root: Tensor = chart @ (vectors * variance.sqrt().unsqueeze(-2)) @ vectors.mT
+        return root
 
     def _chart(self) -> Tensor:
         """D₁^{1/2} `(P, P)` or `(*batch, P, P)`; with a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""

@@ -1,4 +1,7 @@
-"""Policy search behind the interface of `torch.optim`."""
+"""Policy search behind the interface of `torch.optim`.
+
+Stability: stable.
+"""
 
 from torchds.optim import functional as functional
 from torchds.optim.base import PolicySearch as PolicySearch

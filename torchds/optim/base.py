@@ -1,4 +1,7 @@
-"""What the policy searches share: draw noise, evaluate a closure under it, keep the books."""
+"""What the policy searches share: draw noise, evaluate a closure under it, keep the books.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What the first of the N roll-outs of an update is: a perturbed policy, the unperturbed one, or the best so far."""
+"""What the first of the N roll-outs of an update is: a perturbed policy, the unperturbed one, or the best so far.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

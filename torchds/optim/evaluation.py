@@ -1,4 +1,7 @@
-"""Running a closure under perturbed parameters, and what the perturbation costs as control."""
+"""Running a closure under perturbed parameters, and what the perturbation costs as control.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

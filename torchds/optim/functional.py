@@ -1,4 +1,7 @@
-"""The mathematics of the updates, as pure functions."""
+"""The mathematics of the updates, as pure functions.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The options that all policy searches share, declared and described once."""
+"""The options that all policy searches share, declared and described once.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""PI²: policy improvement with path integrals, averaged over time (section 3.2)."""
+"""PI²: policy improvement with path integrals, averaged over time (section 3.2).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

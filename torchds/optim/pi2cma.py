@@ -1,4 +1,7 @@
-"""PI^BB that adapts the covariance of its noise: PI2-CMA."""
+"""PI^BB that adapts the covariance of its noise: PI2-CMA.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 
@@ -111,5 +114,5 @@ def _stack(parts: list[Tensor], lead: int) -> Tensor:
 def _cut(stacked: Tensor, like: list[Tensor]) -> list[Tensor]:
     """What `_stack` made, in the shapes of `like`."""
     lead = stacked.ndim - 1
-    cuts = stacked.split([z.shape[lead:].numel() for z in like], -1)
+    cuts = torch.split(stacked, [z.shape[lead:].numel() for z in like], -1)
     return [cut.reshape(z.shape) for cut, z in zip(cuts, like, strict=True)]

@@ -1,4 +1,7 @@
-"""PI^BB: policy improvement with path integrals, black-box form (Algorithm 1)."""
+"""PI^BB: policy improvement with path integrals, black-box form (Algorithm 1).
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 

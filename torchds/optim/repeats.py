@@ -1,4 +1,7 @@
-"""Trying each policy several times, where the system is noisy."""
+"""Trying each policy several times, where the system is noisy.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Exploration decays: picklable callables for `torch.optim.lr_scheduler.LambdaLR`."""
+"""Exploration decays: picklable callables for `torch.optim.lr_scheduler.LambdaLR`.
+
+Stability: stable.
+"""
 
 from __future__ import annotations
 
@@ -81,4 +84,4 @@ class ExponentialDecay:
 
     def __call__(self, epoch: int) -> float:
         """The factor after `epoch` updates, for the update number epoch + 1."""
-        return self.floor ** min(epoch / self.n_updates, 1.0)
+        return float(self.floor ** min(epoch / self.n_updates, 1.0))

@@ -1,4 +1,7 @@
-"""PI^BB that thinks before it tries: noise is preselected by what similar roll-outs cost."""
+"""PI^BB that thinks before it tries: noise is preselected by what similar roll-outs cost.
+
+Stability: experimental.
+"""
 
 from __future__ import annotations
 
