@@ -124,7 +124,8 @@ def jumps(x: Tensor) -> list[int]:
     around = torch.maximum(
         torch.nn.functional.pad(steps[:-1], (1, 0)), torch.nn.functional.pad(steps[1:], (0, 1))
     )  # the larger of both neighbours
-    return (steps > JUMP * torch.maximum(around, usual)).nonzero().flatten().tolist()
+    found: list[int] = (steps > JUMP * torch.maximum(around, usual)).nonzero().flatten().tolist()
+    return found
 
 
 def turns(x: Tensor, row: int) -> list[tuple[int, float]]:
