@@ -42,7 +42,7 @@ def check_policy(policy: Any, x: Tensor) -> None:
     batch = policy.outputs(policy.features(x.expand(N, *x.shape)), many)
     for one, some in zip(batch, many, strict=True):
         _same(one, policy.outputs(features, some), "a batch of rows has to give what each gives alone")
-    rollout(policy, x, n_steps=3, dt=0.01).x.sum().backward()
+    torch.autograd.backward(rollout(policy, x, n_steps=3, dt=0.01).x.sum())
     for name, p in policy.row_parameters.items():
         _holds(
             p.grad is not None and bool(p.grad.isfinite().all()), f"{name!r} has no finite gradient along a roll-out"
