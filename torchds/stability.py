@@ -13,7 +13,7 @@ Stability: stable.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -22,6 +22,9 @@ from torch.nn.utils import parametrize
 from torchds.errors import InvalidArgumentError
 
 Policy = TypeVar("Policy", bound=nn.Module)
+
+VERDICTS = ("proven", "not proven at this precision", "not stable")
+ROUNDINGS = 100  # of the last digit, that sampling, averaging and storing slopes may add up to
 
 
 class LinearExperts(Protocol):
@@ -42,22 +45,39 @@ class Certificate(NamedTuple):
     Attributes:
         eigenvalues: `(*batch, K)` the largest generalised eigenvalue of (P A_k + A_kᵀ P) / 2 against P [1/s].
         offset: `(*batch, K)` |b_k + A_k x*| [velocity unit].
-        stable: `(*batch,)` True where every eigenvalue is negative and every offset zero up to round-off.
+        resolution: `(*batch, K)` how far rounding can have moved the eigenvalues [1/s].
+        tied: `(*batch,)` True where every offset is zero up to round-off, so that the goal is a fixed point.
     """
 
     eigenvalues: Tensor
     offset: Tensor
-    stable: Tensor
+    resolution: Tensor
+    tied: Tensor
 
     @property
     def margin(self) -> Tensor:
         """The guaranteed rate of convergence `(*batch,)` [1/s]; negative where the condition is violated."""
         return -self.eigenvalues.amax(-1)
 
+    @property
+    def stable(self) -> Tensor:
+        """`(*batch,)` True where it is proven: the goal is a fixed point and every eigenvalue is below −resolution."""
+        return (self.eigenvalues < -self.resolution).all(-1) & self.tied
+
+    @property
+    def verdict(self) -> Any:
+        """One of "proven", "not proven at this precision" and "not stable"; nested lists of them for a batch."""
+        possible = (self.eigenvalues <= self.resolution).all(-1) & self.tied
+        return _named(torch.where(self.stable, 0, torch.where(possible, 1, 2)).tolist())
+
+
+def _named(kinds: Any) -> Any:
+    return [_named(kind) for kind in kinds] if isinstance(kinds, list) else VERDICTS[kinds]
+
 
 @torch.no_grad()
 def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) -> Certificate:
-    """Check the condition of this module.
+    """Check the condition of this module, in float64 whatever the policy is.
 
     A policy that fails may still be stable: the condition is sufficient, and it depends on P.
 
@@ -75,21 +95,43 @@ def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) ->
         >>> gate = torch.ones(1), torch.zeros(1, 2), torch.eye(2)[None]
         >>> policy = torchds.GMRPolicy(*gate, A=torch.tensor([[[-1.0, 3.0], [0.0, -1.0]]]), b=torch.zeros(1, 2))
         >>> for P in (None, torch.diag(torch.tensor([1.0, 9.0]))):
-        ...     print(policy.certificate(torch.zeros(2), P))
-        Certificate(eigenvalues=tensor([0.5000]), offset=tensor([0.]), stable=tensor(False))
-        Certificate(eigenvalues=tensor([-0.5000]), offset=tensor([0.]), stable=tensor(True))
+        ...     proof = policy.certificate(torch.zeros(2), P)
+        ...     print(f"{float(proof.margin):.2f} {proof.verdict}")
+        -0.50 not stable
+        0.50 proven
     """
-    A, b = policy.A.detach(), policy.b.detach()
+    eps = torch.finfo(policy.A.dtype).eps
+    A, b = policy.A.detach().double(), policy.b.detach().double()
     D = A.shape[-1]
     if A.shape[-2] != D:
         raise InvalidArgumentError(f"stability needs as many velocities as inputs, got {A.shape[-2]} and {D}")
     goal = _checked_goal(goal, D).to(A).unsqueeze(-2)
-    eigenvalues = largest_eigenvalue(A, None if P is None else P.to(A).unsqueeze(-3))
+    metric = None if P is None else P.to(A).unsqueeze(-3)
+    eigenvalues = largest_eigenvalue(A, metric)
+    blur = resolution(A, metric)
     pull = (A @ goal.unsqueeze(-1)).squeeze(-1)
     offset = torch.linalg.vector_norm(b + pull, dim=-1)
     size = torch.linalg.vector_norm(b, dim=-1) + torch.linalg.matrix_norm(A) * torch.linalg.vector_norm(goal, dim=-1)
-    tied = offset <= 100 * torch.finfo(A.dtype).eps * size
-    return Certificate(eigenvalues, offset, ((eigenvalues < 0) & tied).all(-1))
+    tied = offset <= 100 * eps * size  # b is kept in the policy's own precision
+    return Certificate(eigenvalues, offset, blur, tied.all(-1))
+
+
+def resolution(A: Tensor, P: Tensor | None = None, dtype: torch.dtype = torch.float64) -> Tensor:
+    r"""How far rounding to `dtype` can move what `largest_eigenvalue` gives, `(...)` [1/s].
+
+    A rounded A differs by up to ε |A|, and in the coordinates of P that is seen :math:`\sqrt{cond P}` times as large. The
+    factor covers the few operations that an update makes of it.
+
+    Args:
+        A: `(..., D, D)` slopes.
+        P: `(..., D, D)`; None for the identity.
+        dtype: in which A is kept.
+    """
+    blur = ROUNDINGS * torch.finfo(dtype).eps * torch.linalg.matrix_norm(A)
+    if P is None:
+        return blur
+    values = torch.linalg.eigvalsh(P)
+    return blur * (values[..., -1] / values[..., 0]).clamp_min(1.0).sqrt()
 
 
 def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:

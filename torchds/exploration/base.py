@@ -22,6 +22,9 @@ class Exploration(ABC):
     in its own normals.
     """
 
+    needs_convex_update = False
+    """Whether its promise holds for an update only if that is a convex combination of the roll-outs, slope by slope."""
+
     @abstractmethod
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """The noise of each parameter.

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.policy import GMRPolicy
-from torchds.stability import largest_eigenvalue, project
+from torchds.stability import largest_eigenvalue, project, resolution
 
 Eta = Literal["closed", "stepped"]
 Shrink = Literal["all", "direction", "none"]
@@ -112,11 +112,25 @@ class Stable(Exploration):
                 f"b differs from −A x* by up to {apart:.2g}: the policy does not rest at the goal {self.goal.tolist()}; give "
                 "the goal of its fit, or fit one that rests there with torchds.fit_stable(..., goal=goal)"
             )
-        if self.shrink != "none" and not (largest := -certificate.margin.amin()) < 0:
+        if self.shrink == "none":
+            return
+        if not (largest := -certificate.margin.amin()) < 0:
             raise InvalidArgumentError(
                 f"the policy is not stable: {largest:.3g} is the largest eigenvalue of the symmetric part of A, and all have "
                 "to be negative; give the P of its fit, fit one with torchds.fit_stable, or use shrink='none'"
             )
+        A = self.policy.A.detach()
+        blur = resolution(A.double(), None if self.P is None else self.P.double().unsqueeze(-3), A.dtype)
+        if (certificate.eigenvalues >= -blur).any():
+            raise InvalidArgumentError(
+                f"the policy's margin of {-largest:.3g} 1/s is below the {blur.amax():.3g} that {A.dtype} resolves: "
+                "no noise could be held to it; learn in float64 (policy.double()), or fit with a larger margin"
+            )
+
+    @property
+    def needs_convex_update(self) -> bool:  # type: ignore[override]
+        """Whether stability is kept: that of the samples is an update's if it is a convex combination of them (Eq. 28)."""
+        return self.shrink != "none"
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """ε_A, ε_b, and zero for all other parameters."""
@@ -134,12 +148,26 @@ class Stable(Exploration):
 
     @torch.no_grad()
     def stabilise(self, raw: Tensor) -> Tensor:
-        """The part of the noise `raw` `(..., *batch, K, D, D)` of A that keeps the policy stable (Eq. 22)."""
+        """The part of the noise `raw` `(..., *batch, K, D, D)` of A that keeps the policy stable (Eq. 22).
+
+        Found in float64; samples keep as much of the margin as rounding them to the policy's precision may take.
+        """
         if self.shrink == "none":
             return raw
-        A, P = self.policy.A.detach(), None if self.P is None else self.P.to(raw).unsqueeze(-3)
+        A, drawn = self.policy.A.detach().double(), raw.double()
+        P = None if self.P is None else self.P.to(drawn).unsqueeze(-3)
+        own = -largest_eigenvalue(A, P)  # (*batch, K)
+        blur = resolution(A, P, raw.dtype)
         # A policy on its own boundary would leave no room to the last digit, and round-off would decide.
-        margin = ((1 - SLACK) * -largest_eigenvalue(A, P)).clamp(max=self.margin)  # (*batch, K)
+        margin = torch.minimum((1 - SLACK) * own, (2 * blur).clamp_min(self.margin))
+        noise = self._inside(A, drawn, P, margin)
+        # What is larger than the slopes is rounded in larger steps.
+        coarse = resolution(A + noise, P, raw.dtype) > margin
+        safe = (own > blur) & ~coarse
+        return torch.where(safe[..., None, None], noise, 0.0).to(raw)
+
+    def _inside(self, A: Tensor, raw: Tensor, P: Tensor | None, margin: Tensor) -> Tensor:
+        """The part of `raw` with which A keeps the `margin` `(*batch, K)`."""
         if self.shrink == "direction":
             tried = A + raw
             return raw + (project(tried, P, margin=margin) - tried)

@@ -122,10 +122,24 @@ class PolicySearch(torch.optim.Optimizer):
             if len(kinds) > 1:
                 raise InvalidArgumentError(f"the parameters of a group need one dtype and device, got {kinds}")
             exploration.check(parameters)
+            self._check_promise(self.param_groups[-1], exploration)
         except Exception:
             self.param_groups.pop()
             raise
         self.explorations.append(exploration)
+
+    def _check_promise(self, group: Mapping[str, Any], exploration: Exploration) -> None:
+        if exploration.needs_convex_update and not self._convex(group):
+            raise InvalidArgumentError(
+                f"{type(exploration).__name__} keeps its promise only for updates that are convex combinations of the "
+                f"roll-outs, and those of {type(self).__name__} with these options are none; {self._convex_instead}"
+            )
+
+    _convex_instead = "use PIBB"
+
+    def _convex(self, group: Mapping[str, Any]) -> bool:
+        """Whether the update of each slope in this group is a convex combination of the roll-outs' noise."""
+        return True
 
     def _check_options(self, group: Mapping[str, Any]) -> None:
         """Refuse options of a group that are out of their range.
@@ -229,6 +243,11 @@ class PolicySearch(torch.optim.Optimizer):
         """One update; the body of every subclass's `step`."""
         if closure is None:
             raise InvalidArgumentError("step needs a closure that returns the cost of the roll-outs")
+        for group, exploration in zip(
+            self.param_groups, self.explorations, strict=True
+        ):  # schedules and users write options
+            self._check_options(group)
+            self._check_promise(group, exploration)
         asked = self._asked
         if not asked:
             self._draw(None)

@@ -63,6 +63,12 @@ class PI2(PolicySearch):
         defaults = {"lr": lr, "weighting": weighting, "projected": projected}
         super().__init__(params, exploration, n_rollouts, defaults, **shared)
 
+    _convex_instead = "use PI2(..., projected=False), whose time average of each component is one, or PIBB"
+
+    def _convex(self, group: Mapping[str, Any]) -> bool:
+        # M takes a part of the noise that differs from step to step; without it, all steps average the same noise.
+        return not group["projected"]
+
     def _check_options(self, group: Mapping[str, Any]) -> None:
         super()._check_options(group)
         if group["weighting"] not in ("gating", "time"):

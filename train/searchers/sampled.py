@@ -103,6 +103,8 @@ def sampled_search(
     """The optimizer that `--optimizer` names, over `n_updates` updates of `n_rollouts` roll-outs."""
     along = along_motion(options)
     kind: Any = load_object(options.optimizer, PIBB) if is_spec(options.optimizer) else SAMPLED[options.optimizer]
+    # The time average of PI² keeps a policy stable only without its projection.
+    form = {"projected": False} if options.optimizer == "pi2" and exploration.needs_convex_update else {}
     optim = kind(
         policy.parameters(),
         lr=options.scale,
@@ -112,6 +114,7 @@ def sampled_search(
         elite=options.elite or ("nominal" if options.optimizer == "surrogate" else task.search.elite),
         control_weight=task.numbers.control_weight,
         generator=torch.Generator().manual_seed(options.seed),
+        **form,
     )
     own = "exponential" if along else task.search.decay
     name = options.decay or ("none" if options.optimizer == "pi2cma" else own)
