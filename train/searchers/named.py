@@ -79,7 +79,7 @@ def refuse(options: RunOptions, task: Task) -> None:
     for option in ("decay", "temperature", "elite"):
         if (value := getattr(options, option)) is not None:
             raise InvalidArgumentError(f"--{option} {value} goes with --optimizer {' or '.join(SAMPLED)}, not {name}")
-    if options.exploration.startswith("stable") and options.shrink != "none":
+    if options.exploration in ("stable", "stable-trajectory") and options.shrink != "none":
         raise InvalidArgumentError(
             f"--optimizer {name} searches in fixed coordinates and cannot shrink noise; with --exploration "
             f"{options.exploration} use --shrink none: b stays tied to the goal, stability is not kept"
