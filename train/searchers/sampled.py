@@ -104,7 +104,9 @@ def sampled_search(
     along = along_motion(options)
     kind: Any = load_object(options.optimizer, PIBB) if is_spec(options.optimizer) else SAMPLED[options.optimizer]
     # The time average of PI² keeps a policy stable only without its projection.
-    form: dict[str, Any] = {"projected": False} if options.optimizer == "pi2" and exploration.needs_convex_update else {}
+    form: dict[str, Any] = (
+        {"projected": False} if options.optimizer == "pi2" and exploration.needs_convex_update else {}
+    )
     optim = kind(
         policy.parameters(),
         lr=options.scale,
