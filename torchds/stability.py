@@ -127,11 +127,12 @@ def resolution(A: Tensor, P: Tensor | None = None, dtype: torch.dtype = torch.fl
         P: `(..., D, D)`; None for the identity.
         dtype: in which A is kept.
     """
-    blur = ROUNDINGS * torch.finfo(dtype).eps * torch.linalg.matrix_norm(A)
+    blur: Tensor = ROUNDINGS * torch.finfo(dtype).eps * torch.linalg.matrix_norm(A)
     if P is None:
         return blur
     values = torch.linalg.eigvalsh(P)
-    return blur * (values[..., -1] / values[..., 0]).clamp_min(1.0).sqrt()
+    spread: Tensor = (values[..., -1] / values[..., 0]).clamp_min(1.0).sqrt()
+    return blur * spread
 
 
 def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:
