@@ -39,8 +39,8 @@ def test_a_policy_that_the_run_does_not_have_is_refused(folder, run):
 
 
 def test_a_run_of_another_task_is_refused(folder):
-    content = json.loads((folder / "options.json").read_text())
-    (folder / "options.json").write_text(json.dumps({**content, "task": "via_point"}))
+    options = options_for("via_point", runs=2)
+    (folder / "options.json").write_text(json.dumps({"task": "via_point", "options": options.to_json()}))
     with pytest.raises(InvalidArgumentError, match="a run of 'via_point' with 2 policies"):
         View("lwr_digging", folder).main()
 
@@ -85,7 +85,7 @@ def test_the_snapshots_are_played_in_order_until_the_window_is_closed(monkeypatc
     n = picture_model(BEDS["coarse"]).nq
     snapshots = torch.zeros(3, n, dtype=torch.float64)
     snapshots[:, 0] = torch.tensor([0.0, 1.0, 3.0])
-    view.show(options_for("lwr_digging", grains="coarse"), SimpleNamespace(plant=SimpleNamespace(snapshots=snapshots)))
+    view.show(BEDS["coarse"], SimpleNamespace(plant=SimpleNamespace(snapshots=snapshots)))
     assert len(shown) == 70
     again = shown.index(0.0, 1)  # the trial begins again
     trial = shown[:again]
