@@ -1,0 +1,32 @@
+import pytest
+
+from tests.motions import equal, refuses, two
+from torchds.errors import FileError
+from torchds.recordings import load, load_npz
+
+
+def test_a_time_step_that_contradicts_the_file_is_refused(tmp_path):
+    two().save_npz(tmp_path / "a.npz")
+    assert equal(load_npz(tmp_path / "a.npz", dt=[0.02, 0.05]), two())
+    with refuses(FileError, "the file's dt says 0.02 s but the argument dt 0.1 s", "retime()"):
+        load_npz(tmp_path / "a.npz", dt=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a.npz", ["not a .npz archive", "save_npz()"]), ("a.mat", ["not a readable MATLAB file"])]
+)
+def test_files_that_are_not_what_they_claim(tmp_path, name, words):
+    path = tmp_path / name
+    for content in (b"time,x\n0,1\n1,2\n", b"", bytes(range(256)) * 10):
+        path.write_bytes(content)
+        with refuses(FileError, str(path), *words):
+            load(path)
+    path.unlink()
+    with refuses(FileError, str(path), "no such file", "looked in"):
+        load(path)
+
+
+def test_other_kinds_of_file_are_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("x\n1\n2\n")
+    with refuses(FileError, "a.txt: cannot tell", ".csv, .npz, .mat and a folder"):
+        load(tmp_path / "a.txt")
