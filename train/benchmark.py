@@ -51,10 +51,10 @@ class Benchmark:
     def split(self) -> tuple[float, float]:
         """Seconds that policy, kinematics, impedance law and bookkeeping take in a batch of digging roll-outs, and physics."""
         task: Any = tasks.make("lwr_digging", seconds=self.digging)
-        policies, scenes = task.policy().expand(8), task.scenes(8)
+        policies, worlds = task.policy().expand(8), task.worlds(8)
         began = time.perf_counter()
         task.cost(task.rollout(policies))
-        return time.perf_counter() - began - scenes.seconds["physics"], scenes.seconds["physics"]
+        return time.perf_counter() - began - worlds.seconds["physics"], worlds.seconds["physics"]
 
     def refresh(self, runs: int) -> tuple[float, float]:
         """Median seconds of one evaluation of the covariance, and of one update with homogeneous noise."""

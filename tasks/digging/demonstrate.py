@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from tasks.digging.gravel import Gravel
-from tasks.digging.scene import Scenes
+from tasks.digging.worlds import Worlds
 from tasks.digging.simulation import WAY_POINTS, dig, scoop
 
 FOLDER = Path(__file__).parent / "demonstrations"
@@ -42,8 +42,8 @@ def main() -> None:
     hand = motions(SOIL.time_step)
     longest = max(len(motion) for motion in hand)
     held = torch.stack([torch.cat([m, m[-1:].expand(longest - len(m), -1)]) for m in hand])
-    scenes = Scenes(SOIL, N, n_threads=2)
-    recording = dig(scenes, held, torch.tensor(HAND, dtype=torch.float64), list(range(N)))
+    worlds = Worlds(SOIL, N, n_threads=2)
+    recording = dig(worlds, held, torch.tensor(HAND, dtype=torch.float64), list(range(N)))
     every = round(STEP / SOIL.time_step)
     FOLDER.mkdir(exist_ok=True)
     for i, motion in enumerate(hand):

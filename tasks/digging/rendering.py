@@ -1,4 +1,4 @@
-"""Pictures of the scene from the snapshots of a recording, without a screen."""
+"""Pictures of the world from the snapshots of a recording, without a screen."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from torch import Tensor
 
 from tasks.digging.gravel import WALL_HEIGHT, WALL_THICKNESS, Gravel
-from tasks.digging.scene import build
+from tasks.digging.worlds import build
 from torchds.errors import TorchdsError
 
 PEBBLES = 7
@@ -19,7 +19,7 @@ class NoRendererError(TorchdsError, RuntimeError):
 
 
 def picture_model(gravel: Gravel) -> mujoco.MjModel:
-    """The scene with a row of pebbles in place of each grain, so that the plane looks like the box of gravel it stands for."""
+    """The world with a row of pebbles in place of each grain, so that the plane looks like the box of gravel it stands for."""
     spec = build(gravel)
     for geom in spec.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and not geom.parent.name.endswith("gripper"):

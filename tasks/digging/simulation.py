@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from tasks.digging import lwr
-from tasks.digging.scene import GRAVITY, Scenes
+from tasks.digging.worlds import GRAVITY, Worlds
 from torchds.cartesian import CartesianImpedance, PlaneReference
 from torchds.errors import InvalidArgumentError
 
 WEIGHING = 0.5
 """Length of the mean over the end of a roll-out that weighs the load [s]."""
 SNAPSHOT = 0.1
-"""Time between two snapshots of the whole scene [s]."""
+"""Time between two snapshots of the whole world [s]."""
 
 
 class Recording(NamedTuple):
@@ -77,17 +77,17 @@ def scoop(seconds: float = 15.0, dt: float = 0.004, way_points: np.ndarray = WAY
 
 
 def dig(
-    scenes: Scenes,
+    worlds: Worlds,
     reference: Tensor,
     stiffness: Tensor,
     seeds: list[int],
     progress: Callable[[float], object] | None = None,
 ) -> Recording:
-    """Let all arms of `scenes` follow their references from rest at the first point.
+    """Let all arms of `worlds` follow their references from rest at the first point.
 
     Args:
-        scenes: N copies of the scene.
-        reference: `(T+1, 3)` or `(N, T+1, 3)`, one point a time step of the scene: x [m], z [m], angle [rad].
+        worlds: N copies of the world.
+        reference: `(T+1, 3)` or `(N, T+1, 3)`, one point a time step of the world: x [m], z [m], angle [rad].
         stiffness: `()`, `(N,)` or `(N, T)` [N/m].
         seeds: of the beds, one a roll-out.
         progress: called with the simulated time [s] ten times a second of it.
@@ -95,7 +95,7 @@ def dig(
     Raises:
         InvalidArgumentError: shapes that do not agree, or a first point out of reach.
     """
-    N, dt = scenes.n, scenes.gravel.time_step
+    N, dt = worlds.n, worlds.gravel.time_step
     n_steps = reference.shape[-2] - 1
     if n_steps < 1 or reference.shape not in ((n_steps + 1, 3), (N, n_steps + 1, 3)):
         raise InvalidArgumentError(f"reference has to be (T+1, 3) or ({N}, T+1, 3), got {tuple(reference.shape)}")
@@ -109,33 +109,33 @@ def dig(
         q = lwr.posture(*reference[:, 0].unbind(-1))
         # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
         control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
-        scenes.reset(q, seeds)
+        worlds.reset(q, seeds)
         poses, readings, torques = [reference[:, 0]], [], []
-        snapshots, between = [scenes.snapshot()], round(SNAPSHOT / dt)
+        snapshots, between = [worlds.snapshot()], round(SNAPSHOT / dt)
         began = time.perf_counter()
         for i in range(n_steps):
             # A roll-out that explodes must not take the others with it; it is marked at the end.
-            q, v = scenes.q.nan_to_num(0.0, 0.0, 0.0), scenes.v.nan_to_num(0.0, 0.0, 0.0)
+            q, v = worlds.q.nan_to_num(0.0, 0.0, 0.0), worlds.v.nan_to_num(0.0, 0.0, 0.0)
             point, rate = reference[:, i + 1], rates[:, i]
             wanted = PlaneReference(point[:, :2], point[:, 2], rate[:, :2], rate[:, 2])
-            asked = control(q, v, scenes.mass, scenes.bias, wanted, s[:, i])
+            asked = control(q, v, worlds.mass, worlds.bias, wanted, s[:, i])
             if i > 0:
                 poses.append(torch.cat([asked.x, asked.angle.unsqueeze(-1)], -1))
             torques.append(asked.torque)
             decided = time.perf_counter()
-            scenes.step(asked.torque)
+            worlds.step(asked.torque)
             stepped = time.perf_counter()
-            scenes.seconds["control"] += decided - began
-            scenes.seconds["physics"] += stepped - decided
+            worlds.seconds["control"] += decided - began
+            worlds.seconds["physics"] += stepped - decided
             began = stepped
-            readings.append(scenes.reading)
+            readings.append(worlds.reading)
             if (i + 1) % between == 0:
-                snapshots.append(scenes.snapshot())
+                snapshots.append(worlds.snapshot())
                 if progress is not None:
                     progress((i + 1) * dt)
-        _, last = control.chain.jacobian(scenes.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
+        _, last = control.chain.jacobian(worlds.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
         poses.append(torch.stack([last[:, 0, 3], last[:, 2, 3], torch.atan2(last[:, 2, 0], last[:, 0, 0])], -1))
-        force = scenes.force(*(np.stack(part, 1) for part in zip(*readings, strict=True)))
+        force = worlds.force(*(np.stack(part, 1) for part in zip(*readings, strict=True)))
         force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
         load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
     return Recording(
@@ -145,5 +145,5 @@ def dig(
         stiffness=s.clone(),
         load=load,
         snapshots=torch.stack(snapshots, 1),
-        failed=scenes.failed,
+        failed=worlds.failed,
     )

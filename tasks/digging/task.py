@@ -13,7 +13,7 @@ from torch import Tensor
 from tasks.digging import lwr
 from tasks.digging.demonstrate import FOLDER
 from tasks.digging.gravel import COARSE, Gravel
-from tasks.digging.scene import Scenes
+from tasks.digging.worlds import Worlds
 from tasks.digging.simulation import Recording, dig
 from tasks.lwr_digging import HIGH, LOW, SECONDS, DiggingOptions
 from tasks.settings import Motion, Scene
@@ -73,7 +73,7 @@ class LwrDigging(DiggingOptions):
         self.start = torch.stack([d.x[0] for d in self.demonstrations]).mean(0).to(torch.float64)
         self.goal = torch.stack([d.x[-1] for d in self.demonstrations]).mean(0).to(torch.float64)
         lwr.posture(*self.start)
-        self._scenes: dict[int, Scenes] = {}
+        self._worlds: dict[int, Worlds] = {}
 
     # ------------------------------------------------------------------ policy
 
@@ -137,16 +137,16 @@ class LwrDigging(DiggingOptions):
         # Beds of one seed do not meet those of another for the first million trials.
         seeds = [self.seed * 1_000_000 + self.trials + i for i in range(n)]
         self.trials += n
-        done = dig(self.scenes(n), stay, soft, seeds, self.progress)
+        done = dig(self.worlds(n), stay, soft, seeds, self.progress)
         done = done._replace(failed=done.failed | ~possible)
         # `dig` works in inference mode; its copies are tensors like any other
         return Recording(*(value.clone().reshape(batch + value.shape[1:]) for value in done))
 
-    def scenes(self, n: int) -> Scenes:
-        """The scenes of `n` roll-outs at once, made when they are first needed."""
-        if n not in self._scenes:
-            self._scenes[n] = Scenes(self.gravel, n, min(self.threads, n))
-        return self._scenes[n]
+    def worlds(self, n: int) -> Worlds:
+        """The worlds of `n` roll-outs at once, made when they are first needed."""
+        if n not in self._worlds:
+            self._worlds[n] = Worlds(self.gravel, n, min(self.threads, n))
+        return self._worlds[n]
 
     # ------------------------------------------------------------------ what it costs
 
@@ -219,7 +219,7 @@ class LwrDigging(DiggingOptions):
     @property
     def wall_seconds(self) -> dict[str, float]:
         """Wall time of all trials so far: "control" for kinematics, impedance law and bookkeeping, "physics" for MuJoCo [s]."""
-        spent = [scenes.seconds for scenes in self._scenes.values()]
+        spent = [worlds.seconds for worlds in self._worlds.values()]
         return {name: sum(s[name] for s in spent) for name in ("control", "physics")}
 
     def state_dict(self) -> dict[str, Any]:

@@ -36,12 +36,13 @@ class Candidate(NamedTuple):
 
     problem: str
     optimizer: str
-    coordinates: CoordinateKind
+    coordinates: str
 
     @property
     def label(self) -> str:
         """As tables and legends have it."""
-        return self.optimizer if self.coordinates == "plain" else f"{self.optimizer}, trajectory"
+        name = short(self.optimizer)
+        return name if self.coordinates == "plain" else f"{name}, {short(self.coordinates)}"
 
 
 @dataclass
@@ -54,9 +55,10 @@ class Compare:
     tasks: tuple[str, ...] = ("via_point-N", "via_point-P")
     """Problems: via_point-N, via_point-P, the other tasks by their names, and yours: FILE.py:NAME or MODULE:NAME."""
     optimizers: tuple[str, ...] = get_args(Optimizer)
-    """As --optimizer of the training commands."""
-    coordinates: tuple[CoordinateKind, ...] = ("plain", "trajectory")
-    """plain: noise or coordinates homogeneous in task space, each parameter by itself. trajectory: along the motion."""
+    """As --optimizer of the training commands, yours among them."""
+    coordinates: tuple[CoordinateKind | str, ...] = ("plain", "trajectory")
+    """plain: noise or coordinates homogeneous in task space, each parameter by itself. trajectory: along the motion.
+    FILE.py:NAME or MODULE:NAME: those of your exploration."""
     runs: int = 20
     """Reported runs of each row, in one batch; where nothing is random, one stands for all."""
     seed: int = 0
@@ -112,7 +114,7 @@ class Compare:
         for kind, received, known in (
             ("problem", [name for name in self.tasks if not is_spec(name)], PROBLEMS),
             ("optimizer", [name for name in self.optimizers if not is_spec(name)], get_args(Optimizer)),
-            ("coordinates", self.coordinates, get_args(CoordinateKind)),
+            ("coordinates", [name for name in self.coordinates if not is_spec(name)], get_args(CoordinateKind)),
         ):
             for name in received:
                 if name not in known:
@@ -139,9 +141,9 @@ class Compare:
             best = min(tuned, key=lambda factor: tuned[factor]) if tuned else self.factors[0]
             record = self.learned(self.options(candidate, best, self.runs if random else 1, self.seed), bar)
         except TorchdsError as error:
-            return Outcome(candidate.problem, candidate.label, refused=str(error))
+            return Outcome(short(candidate.problem), candidate.label, refused=str(error))
         gradient = candidate.optimizer in METHODS and METHODS[candidate.optimizer].gradient
-        return Outcome(candidate.problem, candidate.label, record, best, tuned, random=random, gradient=gradient)
+        return Outcome(short(candidate.problem), candidate.label, record, best, tuned, random=random, gradient=gradient)
 
     def final(self, candidate: Candidate, factor: float, bar: tqdm) -> float:
         """What the choice goes by: the median final cost of the tuning runs, infinite where it is not a number."""
@@ -159,7 +161,7 @@ class Compare:
         task, own = PROBLEMS.get(candidate.problem, (candidate.problem, {}))
         kind: Any = options_class(task)
         stable = kind.exploration == "stable"  # the policy's goal is tied: so are all coordinates
-        along = "stable-trajectory" if stable else "trajectory"
+        usual = {"plain": kind.exploration, "trajectory": "stable-trajectory" if stable else "trajectory"}
         if stable and candidate.optimizer in METHODS:
             own = {**own, "shrink": "none"}
         return kind(
@@ -167,7 +169,7 @@ class Compare:
             seed=seed,
             updates=self.updates,
             optimizer=candidate.optimizer,
-            exploration=along if candidate.coordinates == "trajectory" else kind.exploration,
+            exploration=usual.get(candidate.coordinates, candidate.coordinates),
             scale=factor,
             cost_noise=self.noise_std,
             logdir=self.logdir,
@@ -210,9 +212,10 @@ class Compare:
         """
         record = RunFolder(folder, "--add").results()
         shape = record["options"].get("shape")
-        problem = record["task"] if shape is None else f"{record['task']}-{shape}"
-        gradient = record["options"]["optimizer"] in METHODS and METHODS[record["options"]["optimizer"]].gradient
-        return Outcome(problem, f"{record['options']['optimizer']}, added", record, gradient=gradient)
+        problem = short(record["task"]) if shape is None else f"{short(record['task'])}-{shape}"
+        optimizer = record["options"]["optimizer"]
+        gradient = optimizer in METHODS and METHODS[optimizer].gradient
+        return Outcome(problem, f"{short(optimizer)}, added", record, gradient=gradient)
 
 
 _made: dict[str, tuple[tasks.Task, dict[str, Any]]] = {}

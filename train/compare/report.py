@@ -60,6 +60,12 @@ class Outcome:
     gradient: bool = False
     refused: str = ""
 
+    @property
+    def coordinates(self) -> str:
+        """What it searched along: "plain", "trajectory", or the name of an exploration of the user."""
+        kind = self.label.partition(", ")[2]
+        return "plain" if kind in ("", "added") else kind
+
     def quartiles(self) -> np.ndarray:
         """`(3, U+1)` quartiles and median (in the middle) of the cost over runs; what is not a number counts as infinite."""
         cost = np.asarray(self.record["cost"], dtype=float)
@@ -199,14 +205,14 @@ def curves(rows: Sequence[Outcome]) -> Figure:
     """Median cost against roll-outs, a row of panels per problem: plain on the left, along the motion beside it."""
     shown = [row for row in rows if not row.refused]
     problems, color = by_problem(shown), colors(rows)
-    kinds = sorted({row.label.endswith(", trajectory") for row in shown}) or [False]
+    kinds = sorted({row.coordinates for row in shown} or {"plain"}, key=lambda kind: (kind != "plain", kind))
     figure = Figure(figsize=(2 + 5.2 * len(kinds), 0.8 + 3.6 * max(len(problems), 1)), layout="constrained")
     panels = figure.subplots(max(len(problems), 1), len(kinds), sharey="row", squeeze=False)
     for (problem, members), line in zip(problems.items(), panels, strict=False):
-        for axes, along in zip(line, kinds, strict=True):
-            chosen = [row for row in members if row.label.endswith(", trajectory") == along]
+        for axes, kind in zip(line, kinds, strict=True):
+            chosen = [row for row in members if row.coordinates == kind]
             draw(axes, chosen, color, reference_level(members))
-            axes.set_title(f"{problem}: {'along the motion' if along else 'plain'}", fontsize=10)
+            axes.set_title(f"{problem}: {'along the motion' if kind == 'trajectory' else kind}", fontsize=10)
             axes.set_xlabel("roll-outs")
         line[0].set_ylabel("cost without noise")
     handles = {

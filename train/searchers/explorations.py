@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from tasks import Task
-from tasks.loading import is_spec, load_object
+from tasks.loading import is_spec
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration, Gaussian, Stable, TrajectorySpace
 from train.options import RunOptions
+from train.searchers.own import make_own
 
 
 def along_motion(options: RunOptions) -> bool:
@@ -20,9 +21,8 @@ def along_motion(options: RunOptions) -> bool:
 def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Exploration:
     """The exploration that `--exploration`, `--noise` and `--shrink` name; your own gets the policy, and the noise if given."""
     if is_spec(options.exploration):
-        size_given = () if options.noise is None else (options.noise,)
-        own: Any = load_object(options.exploration, Exploration)
-        return own(policy, *size_given)
+        given = () if options.noise is None else (options.noise,)
+        return make_own("exploration", options.exploration, Exploration, policy, *given)  # type: ignore[type-abstract]
     search, numbers, learn = task.search, task.numbers, options.learn
     std = numbers.std if options.noise is None else options.noise
     if options.exploration == "gaussian":

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
 from tasks import Task
-from tasks.loading import is_spec, load_object
+from tasks.loading import is_spec
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
@@ -28,6 +28,7 @@ from torchds.optim import (
 from train.options import RunOptions
 from train.searchers.base import JACOBIAN_COST, Closure, Searcher
 from train.searchers.explorations import along_motion
+from train.searchers.own import make_own
 
 SAMPLED: dict[str, type[PIBB] | type[PI2]] = {"pibb": PIBB, "pi2": PI2, "pi2cma": PI2CMA, "surrogate": SurrogatePIBB}
 """By the names of `--optimizer`."""
@@ -101,26 +102,25 @@ def sampled_search(
     options: RunOptions, task: Task, policy: GMRPolicy, exploration: Exploration, *, n_rollouts: int, n_updates: int
 ) -> SampledSearch:
     """The optimizer that `--optimizer` names, over `n_updates` updates of `n_rollouts` roll-outs."""
-    along = along_motion(options)
-    kind: Any = load_object(options.optimizer, PIBB) if is_spec(options.optimizer) else SAMPLED[options.optimizer]
+    along, name = along_motion(options), options.optimizer
     # The time average of PI² keeps a policy stable only without its projection.
-    form: dict[str, Any] = (
-        {"projected": False} if options.optimizer == "pi2" and exploration.needs_convex_update else {}
-    )
-    optim = kind(
-        policy.parameters(),
-        lr=options.scale,
-        exploration=exploration,
-        n_rollouts=n_rollouts,
-        temperature=options.temperature or ("capped" if along else task.search.temperature),
-        elite=options.elite or ("nominal" if options.optimizer == "surrogate" else task.search.elite),
-        control_weight=task.numbers.control_weight,
-        generator=torch.Generator().manual_seed(options.seed),
-        **form,
-    )
-    own = "exponential" if along else task.search.decay
-    name = options.decay or ("none" if options.optimizer == "pi2cma" else own)
-    return SampledSearch(optim, LambdaLR(optim, factor(name, n_updates)), jacobian=along)
+    form: dict[str, Any] = {"projected": False} if name == "pi2" and exploration.needs_convex_update else {}
+    settings: dict[str, Any] = {
+        "lr": options.scale,
+        "exploration": exploration,
+        "n_rollouts": n_rollouts,
+        "temperature": options.temperature or ("capped" if along else task.search.temperature),
+        "elite": options.elite or ("nominal" if name == "surrogate" else task.search.elite),
+        "control_weight": task.numbers.control_weight,
+        "generator": torch.Generator().manual_seed(options.seed),
+    }
+    optim: PolicySearch
+    if is_spec(name):
+        optim = make_own("optimizer", name, PolicySearch, policy.parameters(), **settings)  # type: ignore[type-abstract]
+    else:
+        optim = SAMPLED[name](policy.parameters(), **settings, **form)
+    usual = "none" if name == "pi2cma" else "exponential" if along else task.search.decay
+    return SampledSearch(optim, LambdaLR(optim, factor(options.decay or usual, n_updates)), jacobian=along)
 
 
 def factor(decay: str, n_updates: int) -> Callable[[int], float]:

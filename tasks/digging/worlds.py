@@ -1,4 +1,4 @@
-"""The scene: the arm with its shovel over a box of gravel, many copies of it stepped in parallel threads."""
+"""The world: the arm with its shovel over a box of gravel, many copies of it stepped in parallel threads."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ PREFIX = "lwr/"
 
 def build(gravel: Gravel) -> mujoco.MjSpec:
     """The arm, then the box and its grains; the arm's base is the origin."""
-    scene = mujoco.MjSpec()
-    beds.options(scene, gravel)
+    world = mujoco.MjSpec()
+    beds.options(world, gravel)
     arm = lwr.spec()
     for geom in arm.geoms:
         if geom.parent.name == "shovel":
@@ -30,14 +30,14 @@ def build(gravel: Gravel) -> mujoco.MjSpec:
         else:
             geom.contype = geom.conaffinity = 0  # the arm itself touches nothing
             geom.rgba[:] = (0.2, 0.2, 0.2, 1) if geom.parent.name in ("base", "gripper") else (0.95, 0.45, 0.1, 1)
-    scene.attach(arm, prefix=PREFIX, frame=scene.worldbody.add_frame())
-    scene.worldbody.add_light(pos=[0.4, -1.5, 2.0], dir=[0.2, 0.6, -0.8])
-    beds.add(scene, gravel)
-    return scene
+    world.attach(arm, prefix=PREFIX, frame=world.worldbody.add_frame())
+    world.worldbody.add_light(pos=[0.4, -1.5, 2.0], dir=[0.2, 0.6, -0.8])
+    beds.add(world, gravel)
+    return world
 
 
-class Scenes:
-    """N copies of the scene, each with a bed of its own, advanced together.
+class Worlds:
+    """N copies of the world, each with a bed of its own, advanced together.
 
     Args:
         gravel: the bed.
