@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from tasks.digging.gravel import Gravel
-from tasks.digging.worlds import Worlds
 from tasks.digging.simulation import WAY_POINTS, dig, scoop
+from tasks.digging.worlds import Worlds
 
 FOLDER = Path(__file__).parent / "demonstrations"
 SOIL = Gravel(density=1300.0, friction=0.6, seed=7)

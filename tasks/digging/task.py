@@ -13,8 +13,8 @@ from torch import Tensor
 from tasks.digging import lwr
 from tasks.digging.demonstrate import FOLDER
 from tasks.digging.gravel import COARSE, Gravel
-from tasks.digging.worlds import Worlds
 from tasks.digging.simulation import Recording, dig
+from tasks.digging.worlds import Worlds
 from tasks.lwr_digging import HIGH, LOW, SECONDS, DiggingOptions
 from tasks.settings import Motion, Scene
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout

@@ -14,8 +14,8 @@ import numpy as np  # noqa: E402
 
 import tasks.digging  # noqa: E402
 from tasks.digging import gravel, lwr  # noqa: E402
-from tasks.digging.worlds import COARSE, PREFIX, Worlds  # noqa: E402
 from tasks.digging.simulation import dig, scoop  # noqa: E402
+from tasks.digging.worlds import COARSE, PREFIX, Worlds  # noqa: E402
 
 
 @pytest.fixture(scope="module")
