@@ -1,6 +1,6 @@
 """Cartesian impedance control of a serial arm whose task lies in a plane (section 6).
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class CartesianImpedance:
         n_joints = chain.jacobian(self.posture.reshape(1, -1), ret_eef_pose=True)[0].shape[-1]
         if self.posture.shape != (n_joints,):
             raise InvalidArgumentError(
-                f"posture needs one angle a joint, ({n_joints},), got {tuple(self.posture.shape)}"
+                f"posture has to be ({n_joints},), one angle for each joint, got {tuple(self.posture.shape)}"
             )
         self.n_joints = n_joints
         self.torque_limit = None if torque_limit is None else torch.as_tensor(torque_limit, dtype=chain.dtype)
@@ -135,7 +135,7 @@ class CartesianImpedance:
             self.torque_limit.shape != (n_joints,) or not (self.torque_limit > 0).all()
         ):
             raise InvalidArgumentError(
-                f"torque_limit needs {n_joints} positive numbers, got {self.torque_limit.tolist()}"
+                f"torque_limit has to be {n_joints} positive numbers, got {self.torque_limit.tolist()}; None for no limit"
             )
         self.plane = plane
         self.offset = offset

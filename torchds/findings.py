@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from torchds.errors import DemonstrationWarning
 
@@ -121,9 +122,8 @@ def jumps(x: Tensor) -> list[int]:
     if len(steps) < 4:
         return []
     usual = steps.quantile(0.75)
-    around = torch.maximum(
-        torch.nn.functional.pad(steps[:-1], (1, 0)), torch.nn.functional.pad(steps[1:], (0, 1))
-    )  # the larger of both neighbours
+    before, after = F.pad(steps[:-1], (1, 0)), F.pad(steps[1:], (0, 1))
+    around = torch.maximum(before, after)
     found: list[int] = (steps > JUMP * torch.maximum(around, usual)).nonzero().flatten().tolist()
     return found
 

@@ -1,6 +1,6 @@
 """Mending recorded motions: uneven clocks, rests, wrapped angles, several motions in one, and what is suspicious.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

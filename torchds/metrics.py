@@ -98,7 +98,7 @@ def _rows_of_paths(paths: Tensor) -> list[np.ndarray]:
 def _equidistant(path: Tensor, n: int) -> Tensor:
     """n points at equal distances along paths `(*batch, T, D)`, both ends among them."""
     if path.ndim < 2 or path.shape[-2] < 2:
-        raise InvalidArgumentError(f"a path has to be (*batch, T, D) with T ≥ 2, got {tuple(path.shape)}")
+        raise InvalidArgumentError(f"a path has to be (*batch, T, D) with T ≥ 2, got shape {tuple(path.shape)}")
     steps = torch.linalg.vector_norm(path.diff(dim=-2), dim=-1)
     length = F.pad(steps.cumsum(-1), (1, 0))
     at = torch.linspace(0, 1, n, dtype=path.dtype, device=path.device) * length[..., -1:]

@@ -64,21 +64,24 @@ class GaussianMixture:
         *batch, K, F = means.shape if means.ndim >= 2 else (0, 0)
         if priors.shape != (*batch, K) or covariances.shape != (*batch, K, F, F) or K * F == 0:
             raise DegenerateMixtureError(
-                f"priors {tuple(priors.shape)}, means {tuple(means.shape)} and covariances {tuple(covariances.shape)} "
-                "do not fit together; expected (*batch, K), (*batch, K, F) and (*batch, K, F, F)"
+                "priors, means and covariances have to be (*batch, K), (*batch, K, F) and (*batch, K, F, F), got "
+                f"{tuple(priors.shape)}, {tuple(means.shape)} and {tuple(covariances.shape)}"
             )
         for name, value in {"priors": priors, "means": means, "covariances": covariances}.items():
             if not value.isfinite().all():
-                raise DegenerateMixtureError(f"{name} contain NaN or infinity; every value has to be finite")
+                raise DegenerateMixtureError(f"{name} have to be finite, got NaN or infinity; fit to finite samples")
         if (priors < 0).any() or not torch.allclose(priors.sum(-1), torch.ones_like(priors[..., 0]), atol=1e-4):
-            raise DegenerateMixtureError(f"priors have to be ≥ 0 and sum to 1, got {priors.tolist()}")
+            raise DegenerateMixtureError(
+                f"priors have to be ≥ 0 and sum to 1, got {priors.tolist()}; divide by their sum"
+            )
         scale = covariances.diagonal(dim1=-2, dim2=-1).amax(-1)
         asymmetric = (covariances - covariances.mT).abs().amax((-2, -1)) > 1e-5 * scale
         factors, info = torch.linalg.cholesky_ex(covariances)
         if (bad := asymmetric | (info != 0)).any():
             raise DegenerateMixtureError(
-                f"covariances of component(s) {sorted(set(bad.nonzero()[:, -1].tolist()))} are not symmetric positive "
-                "definite; fit with a larger covariance_floor or add a small multiple of the identity"
+                "covariances have to be symmetric positive definite, got others in component(s) "
+                f"{sorted(set(bad.nonzero()[:, -1].tolist()))}; fit with a larger covariance_floor or add a small "
+                "multiple of the identity"
             )
         self.priors, self.means, self.covariances = priors, means, covariances
         self._factors = factors
@@ -164,8 +167,8 @@ class GaussianMixture:
         found = {_ALIASES.get(name, name): value for name, value in found.items()}
         if missing := {"priors", "means", "covariances"} - set(found):
             raise FileError(
-                f"{path}: no {', '.join(sorted(missing))}; a mixture file holds priors (K,), means (K, F) and "
-                "covariances (K, F, F)"
+                f"{path}: a mixture file has to hold priors (K,), means (K, F) and covariances (K, F, F), got one without "
+                f"{', '.join(sorted(missing))}; write it with GaussianMixture.save"
             )
         return cls(*(torch.from_numpy(found[name]) for name in ("priors", "means", "covariances")))
 
@@ -210,17 +213,18 @@ class GaussianMixture:
         if not covariance_floor > 0:
             raise InvalidArgumentError(f"covariance_floor has to be positive, got {covariance_floor}")
         if len(y) < 2:
-            raise DegenerateMixtureError(f"a mixture needs at least 2 samples, got {len(y)}; record more samples")
+            raise DegenerateMixtureError(f"samples have to be at least 2, got {len(y)}; record more samples")
         if len(bad := np.argwhere(~(np.abs(y) < 1e150))):  # their squares enter
             row, column = bad[0]
             raise DegenerateMixtureError(
-                f"sample {row}, variable {column} is {y[row, column]}; all have to be finite and below 1e150"
+                f"samples have to be finite and below 1e150, got {y[row, column]} in sample {row}, variable {column}; "
+                "remove the sample or scale the variable"
             )
         n_distinct = len(np.unique(y, axis=0))
         if isinstance(n_components, int) and n_distinct < n_components:
             raise DegenerateMixtureError(
-                f"{n_components} components need at least {n_components} distinct samples, got {n_distinct} among "
-                f"{len(y)}; record more samples or choose n_components ≤ {n_distinct}"
+                f"n_components has to be at most the number of distinct samples, {n_distinct} among {len(y)}, got "
+                f"{n_components}; record more samples or choose n_components ≤ {n_distinct}"
             )
         candidates = range(1, min(max_components, n_distinct) + 1) if n_components == "bic" else [n_components]
         fits: list[sklearn.mixture.GaussianMixture] = []

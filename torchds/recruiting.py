@@ -1,6 +1,6 @@
 """New Gaussians where the motion needs them, while it learns: the paper's future work on its frozen gating.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def recruit(policy: GMRPolicy, at: Tensor, width: float) -> GMRPolicy:
     D, batch, lead = policy.input_dim, policy.batch_shape, at.shape[:-1]
     if at.shape[-1:] != (D,) or batch[len(batch) - len(lead) :] != lead or not at.isfinite().all():
         raise InvalidArgumentError(
-            f"a place has to be finite and ({D},), or (*lead, {D}) where the batch_shape {batch} of the policy ends with lead, "
-            f"got shape {tuple(at.shape)}"
+            f"at has to be finite and ({D},), or (*lead, {D}) where the batch_shape {batch} of the policy ends with lead, "
+            f"got {at.tolist()} of shape {tuple(at.shape)}"
         )
     if not (math.isfinite(width) and width > 0):
         raise InvalidArgumentError(f"width has to be finite and positive, got {width}")

@@ -1,6 +1,6 @@
 """How a motion moves when its parameters do: exact derivatives of a roll-out, forward in time.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -104,7 +104,9 @@ def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) ->
     A, b = policy.A.detach().double(), policy.b.detach().double()
     D = A.shape[-1]
     if A.shape[-2] != D:
-        raise InvalidArgumentError(f"stability needs as many velocities as inputs, got {A.shape[-2]} and {D}")
+        raise InvalidArgumentError(
+            f"the slopes of a certificate have to be square, as many velocities as inputs, got ({A.shape[-2]}, {D})"
+        )
     goal = _checked_goal(goal, D).to(A).unsqueeze(-2)
     metric = None if P is None else P.to(A).unsqueeze(-3)
     eigenvalues = largest_eigenvalue(A, metric)
@@ -173,8 +175,8 @@ def stable_factors(A: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -
     factor, info = torch.linalg.cholesky_ex(-_symmetric(M))
     if info.any():
         raise InvalidArgumentError(
-            f"{int((info != 0).sum())} of {info.numel()} slopes do not converge with a rate above {margin:g}; move them "
-            "into the set with project(A, P, margin=...), with a larger margin there than here"
+            f"all slopes have to converge with a rate above {margin:g}, got {int((info != 0).sum())} of {info.numel()} "
+            "that do not; move them into the set with project(A, P, margin=...), with a larger margin there than here"
         )
     return factor.contiguous(), ((M - M.mT) / 2).triu(1)
 
@@ -292,7 +294,7 @@ def _root(P: Tensor) -> Tensor:
     factor, info = torch.linalg.cholesky_ex(P)
     asymmetric = (P - P.mT).abs() > 1e-5 * P.abs().amax((-2, -1), keepdim=True)
     if info.any() or asymmetric.any():
-        raise InvalidArgumentError(f"P has to be symmetric positive definite, got {P.tolist()}")
+        raise InvalidArgumentError(f"P has to be symmetric positive definite, got {P.tolist()}; None stands for I")
     C: Tensor = factor.mT
     return C
 
@@ -303,7 +305,7 @@ def _seen_by(P: Tensor | None, A: Tensor) -> Tensor:
         return A
     if P.shape[-2:] != A.shape[-2:]:
         raise InvalidArgumentError(
-            f"P has to be (..., {A.shape[-1]}, {A.shape[-1]}) for these slopes, got {tuple(P.shape)}"
+            f"P has to be (..., {A.shape[-1]}, {A.shape[-1]}) as these slopes are, got {tuple(P.shape)}"
         )
     C = _root(P)
     seen: Tensor = torch.linalg.solve_triangular(C, C @ A, upper=True, left=False)

@@ -2,7 +2,7 @@
 
 Normalised means positions relative to the goal and velocities, each of unit root mean square.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations
@@ -98,7 +98,9 @@ class Samples(NamedTuple):
         """Those of `motions`, towards `goal` `(D,)` or `(B, D)`; by default the mean of their last positions."""
         dims = sorted({motion.dim for motion in motions})
         if len(dims) != 1:
-            raise InvalidArgumentError(f"the motions of a batch need one dimension, got {dims}; fit them one by one")
+            raise InvalidArgumentError(
+                f"the motions of a batch have to have one dimension, got {dims}; fit them one by one"
+            )
         if goal is None:
             goal = torch.stack([torch.stack([demo.x[-1] for demo in motion]).mean(0) for motion in motions])
         goal = goal.to("cpu", torch.float64)
@@ -112,7 +114,9 @@ class Samples(NamedTuple):
         v = [part.v.to("cpu", torch.float64) for part in stacked]
         x_scale, v_scale = (torch.stack([part.square().mean().sqrt() for part in parts]) for parts in (x, v))
         if not ((x_scale > 0) & (v_scale > 0)).all():
-            raise InvalidArgumentError("a motion does not move: all its positions are the goal or all velocities zero")
+            raise InvalidArgumentError(
+                "every motion has to move, got one with all positions at the goal or all velocities zero; leave it out"
+            )
         pad = torch.nn.utils.rnn.pad_sequence
         return cls(
             pad(x, batch_first=True) / x_scale[:, None, None],
@@ -161,5 +165,7 @@ def _one_each(name: str, value: int | str | Sequence[int], n: int) -> list[Any]:
     """One value for each of n motions, from one for all or one each."""
     values = [value] * n if isinstance(value, (int, str)) else list(value)
     if len(values) != n:
-        raise InvalidArgumentError(f"{len(values)} values of {name} for {n} motions; give one for all or one for each")
+        raise InvalidArgumentError(
+            f"{name} has to be one for all or one for each of the {n} motions, got {len(values)}"
+        )
     return values

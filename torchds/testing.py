@@ -2,7 +2,7 @@
 
 Each raises AssertionError with a sentence about what is not kept.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The control cost of Algorithm 1 needs the features along every roll-out, a closu
 report their features here, and an optimizer listens while its closure runs. A foreign simulator reports with one call:
 `torchds.visits.report(policy, policy.features(x))`.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -13,28 +13,59 @@ pk = pytest.importorskip("pytorch_kinematics")
 import numpy as np  # noqa: E402
 import scipy.linalg  # noqa: E402
 
-from tasks.digging import lwr  # noqa: E402
+EFFORTS = (40.0, 40.0, 30.0, 30.0, 15.0, 15.0, 5.0)  # [N m]
+SWING, TURN, ROLL = "0 -1 0", "0 0 1", "1 0 0"  # axes of joints; swinging moves the tool in the plane, from x towards z
+UPPER, LOWER, HAND = 0.4, 0.45, 0.15  # [m]
+SWUNG = torch.tensor([1.2, -1.9, 0.4], dtype=torch.float64)  # the swinging joints at the start
 
-THREE_JOINTS = """<robot name="three"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tool"/>
-{}<joint name="t" type="fixed"><parent link="l3"/><child link="tool"/><origin xyz="0.1 0 0" rpy="0 0 0"/></joint></robot>
-""".format(
-    "".join(
-        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{0.3 * (i > 0)} 0 0"'
-        f' rpy="0 0 0"/><axis xyz="0 -1 0"/><limit lower="-3" upper="3" effort="10" velocity="3"/></joint>'
-        for i in range(3)
+
+def urdf(joints, hand):
+    """An arm of joints (axis, distance from the one before [m]), its tool `hand` metres behind the last of them."""
+    names = ["base", *(f"l{i}" for i in range(len(joints)))]
+    body = (
+        '<link name="{}"><inertial><origin xyz="0.05 0 0.02" rpy="0 0 0"/><mass value="1.5"/>'
+        '<inertia ixx="0.02" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     )
+    parts = ['<link name="base"/><link name="tool"/>', *(body.format(name) for name in names[1:])]
+    parts += (
+        f'<joint name="j{i}" type="revolute"><parent link="{names[i]}"/><child link="l{i}"/>'
+        f'<origin xyz="{distance} 0 0" rpy="0 0 0"/><axis xyz="{axis}"/>'
+        '<limit lower="-3" upper="3" effort="100" velocity="10"/></joint>'
+        for i, (axis, distance) in enumerate(joints)
+    )
+    parts.append(
+        f'<joint name="t" type="fixed"><parent link="{names[-1]}"/><child link="tool"/>'
+        f'<origin xyz="{hand} 0 0" rpy="0 0 0"/></joint>'
+    )
+    return f'<robot name="arm"><mujoco><compiler fusestatic="false"/></mujoco>{"".join(parts)}</robot>'
+
+
+SEVEN_JOINTS = urdf(
+    [(TURN, 0.0), (SWING, 0.0), (ROLL, 0.0), (SWING, UPPER), (ROLL, 0.0), (SWING, LOWER), (ROLL, 0.0)], HAND
 )
+THREE_JOINTS = urdf([(SWING, 0.0), (SWING, 0.3), (SWING, 0.3)], 0.1)
 
 
 @pytest.fixture(scope="module")
 def chain():
-    return lwr.chain()
+    return pk.build_serial_chain_from_urdf(SEVEN_JOINTS, "tool").to(dtype=torch.float64)
 
 
 @pytest.fixture(scope="module")
 def start():
-    x, z, angle = torch.tensor([0.62, 0.20, -0.3], dtype=torch.float64)
-    return lwr.posture(x, z, angle)
+    """A posture in the plane: the joints that turn or roll stand at zero."""
+    q = torch.zeros(7, dtype=torch.float64)
+    q[[1, 3, 5]] = SWUNG
+    return q
+
+
+def placed():
+    """(x, z, angle) of the tool at the start, by the trigonometry of three links in a plane."""
+    along, angle = torch.tensor([UPPER, LOWER, HAND], dtype=torch.float64), SWUNG.cumsum(0)
+    return float(along @ angle.cos()), float(along @ angle.sin()), float(angle[-1])
+
+
+X, Z, ANGLE = placed()
 
 
 def at(x, z, angle, batch=()):
@@ -51,13 +82,13 @@ def random_state(randn, start, batch, n=7):
 
 def simulate(control, q, reference, stiffness, seconds, dt, force=(0.0, 0.0, 0.0)):
     """Poses (T+1, 3) of the tool, (x, z, angle), in MuJoCo without friction, and the mass matrix at the start."""
-    model = lwr.spec().compile()
-    model.opt.timestep, model.dof_damping[:] = dt, 0.0
+    model = mujoco.MjModel.from_xml_string(SEVEN_JOINTS)
+    model.opt.timestep = dt
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
-    site, tool, first, path = model.site("tool").id, model.body("tool").id, None, []
+    tool, first, path = model.body("tool").id, None, []
     for _ in range(round(seconds / dt)):
         M = np.zeros((7, 7))
         mujoco.mj_fullM(model, data, M)
@@ -65,9 +96,8 @@ def simulate(control, q, reference, stiffness, seconds, dt, force=(0.0, 0.0, 0.0
         state = (torch.from_numpy(a.copy()) for a in (data.qpos, data.qvel, M, data.qfrc_bias))
         asked = control(*state, reference, stiffness)
         path.append(torch.cat([asked.x, asked.angle[None]]))
-        data.ctrl[:] = asked.torque
-        data.qfrc_applied[:] = 0.0
-        mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), data.site_xpos[site], tool, data.qfrc_applied)
+        data.qfrc_applied[:] = asked.torque
+        mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), data.xpos[tool], tool, data.qfrc_applied)
         mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
     return torch.stack(path), torch.from_numpy(first)
@@ -77,7 +107,7 @@ def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
     """Λ ë + D ė + K e = 0 solved by the generalised eigenvectors of (K, Λ): each mode is (1 + ω t) exp(−ω t)."""
     control = CartesianImpedance(chain, start)
     offset = torch.tensor([2e-3, -1e-3, 4e-3], dtype=torch.float64)
-    dt, reference = 1e-3, at(0.62 + 2e-3, 0.20 - 1e-3, -0.3 + 4e-3)
+    dt, reference = 1e-3, at(X + 2e-3, Z - 1e-3, ANGLE + 4e-3)
     path, M = simulate(control, start, reference, 300.0, 0.8, dt)
     J = chain.jacobian(start[None], ret_eef_pose=True)[0][0]
     inertia = torch.linalg.inv(J @ torch.linalg.solve(M, J.T)).numpy()
@@ -87,7 +117,7 @@ def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
     t = dt * np.arange(len(path))[:, None]
     decay = (1 + np.sqrt(squares) * t) * np.exp(-np.sqrt(squares) * t)
     predicted = (decay * (modes.T @ inertia @ e0)) @ modes.T
-    error = offset + torch.tensor([0.62, 0.20, -0.3], dtype=torch.float64) - path
+    error = offset + torch.tensor([X, Z, ANGLE], dtype=torch.float64) - path
     expected = torch.from_numpy(predicted[:, [0, 2, 4]]) * torch.tensor([1, 1, -1])
     assert float((error - expected).abs().max() / offset.abs().max()) < 0.02  # 1 ms steps
     assert float(error[-1].norm() / error[0].norm()) < 0.1
@@ -96,8 +126,8 @@ def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
 @pytest.mark.parametrize("stiffness", [150.0, 450.0])
 def test_a_constant_force_displaces_by_force_over_stiffness(chain, start, stiffness):
     control = CartesianImpedance(chain, start)
-    path, _ = simulate(control, start, at(0.62, 0.20, -0.3), stiffness, 6.0, 4e-3, force=(6.0, 0.0, -3.0))
-    moved = path[-1, :2] - torch.tensor([0.62, 0.20], dtype=torch.float64)
+    path, _ = simulate(control, start, at(X, Z, ANGLE), stiffness, 6.0, 4e-3, force=(6.0, 0.0, -3.0))
+    moved = path[-1, :2] - torch.tensor([X, Z], dtype=torch.float64)
     torch.testing.assert_close(moved, torch.tensor([6.0, -3.0], dtype=torch.float64) / stiffness, rtol=2e-3, atol=0)
 
 
@@ -138,7 +168,7 @@ def test_a_tool_that_moves_with_its_reference_is_not_damped(chain, start, randn)
     J, pose = chain.jacobian(q, ret_eef_pose=True)
     xdot = (J @ v.unsqueeze(-1)).squeeze(-1)
     reference = PlaneReference(
-        pose[..., (0, 2), 3], torch.full((1,), -0.3, dtype=torch.float64), xdot[..., (0, 2)], -xdot[..., 4]
+        pose[..., (0, 2), 3], torch.full((1,), ANGLE, dtype=torch.float64), xdot[..., (0, 2)], -xdot[..., 4]
     )
     control = CartesianImpedance(chain, start, posture_damping=0.0)
     mass = torch.eye(7, dtype=torch.float64).expand(1, 7, 7)
@@ -148,7 +178,7 @@ def test_a_tool_that_moves_with_its_reference_is_not_damped(chain, start, randn)
 
 def test_torques_stay_within_limits_and_say_so(chain, start, randn):
     q, v, mass, bias = random_state(randn, start, (20,))
-    limit = torch.tensor(lwr.EFFORTS, dtype=torch.float64)
+    limit = torch.tensor(EFFORTS, dtype=torch.float64)
     free = CartesianImpedance(chain, start)(q, v, mass, bias, at(0.9, 0.5, 1.0), 450.0)
     held = CartesianImpedance(chain, start, torque_limit=limit)(q, v, mass, bias, at(0.9, 0.5, 1.0), 450.0)
     assert (free.torque.abs() > limit).any() and (held.torque.abs() <= limit).all()
@@ -158,7 +188,7 @@ def test_torques_stay_within_limits_and_say_so(chain, start, randn):
 
 
 def test_a_batch_equals_a_loop(chain, start, randn):
-    control = CartesianImpedance(chain, start, torque_limit=lwr.EFFORTS)
+    control = CartesianImpedance(chain, start, torque_limit=EFFORTS)
     state = random_state(randn, start, (2, 3))
     stiffness = 100 + 300 * randn(2, 3).abs()
     together = control(*state, at(0.6, 0.2, 0.1, (2, 3)), stiffness)
@@ -172,10 +202,10 @@ def test_a_batch_equals_a_loop(chain, start, randn):
 @pytest.mark.parametrize("turn", [0.0, 1e-10, 0.5, 3.0])
 def test_the_error_of_the_angle_is_exact(chain, start, turn):
     control, zero = CartesianImpedance(chain, start), torch.zeros(7, dtype=torch.float64)
-    asked = control(start, zero, torch.eye(7, dtype=torch.float64), zero, at(0.62, 0.20, -0.3 + turn), 100.0)
+    asked = control(start, zero, torch.eye(7, dtype=torch.float64), zero, at(X, Z, ANGLE + turn), 100.0)
     expected = torch.tensor([0, 0, 0, 0, -turn, 0], dtype=torch.float64)
     torch.testing.assert_close(asked.error, expected, atol=3e-7, rtol=0)
-    torch.testing.assert_close(float(asked.angle), -0.3, atol=3e-7, rtol=0)
+    torch.testing.assert_close(float(asked.angle), ANGLE, atol=3e-7, rtol=0)
 
 
 def test_an_arm_in_a_singular_posture_gets_finite_torques(chain, start):
@@ -189,7 +219,7 @@ def test_bad_arguments_are_refused_by_name(chain, start, randn):
         ({"plane": "zx"}, "plane has to be"),
         ({"damping_ratio": -1.0}, "damping_ratio has to be ≥ 0"),
         ({"stiffness_outside": (1.0, -2.0)}, r"stiffness_outside\[1\]"),
-        ({"torque_limit": [1.0]}, "torque_limit needs 7"),
+        ({"torque_limit": [1.0]}, "torque_limit has to be 7 positive numbers"),
     ):
         with pytest.raises(InvalidArgumentError, match=message):
             CartesianImpedance(chain, start, **options)

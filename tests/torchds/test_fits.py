@@ -196,8 +196,12 @@ def test_three_dimensions(randn):
         ({"spread": -1.0}, InvalidArgumentError, "spread has to be finite and ≥ 0, got -1.0"),
         ({"n_steps": 5}, InvalidArgumentError, "n_steps has to be at least 10, got 5"),
         ({"goal": torch.zeros(3)}, InvalidArgumentError, r"goal has to be finite and \(2,\) or \(1, 2\), got \[0.0"),
-        ({"n_components": [2, 3]}, InvalidArgumentError, "2 values of n_components for 1 motions"),
-        ({"seed": [0, 1]}, InvalidArgumentError, "2 values of seed for 1 motions"),
+        (
+            {"n_components": [2, 3]},
+            InvalidArgumentError,
+            "n_components has to be one for all or one for each of the 1 motions, got 2",
+        ),
+        ({"seed": [0, 1]}, InvalidArgumentError, "seed has to be one for all or one for each of the 1 motions, got 2"),
         ({"n_components": "aic"}, InvalidArgumentError, "n_components has to be a number or 'bic', got 'aic'"),
         ({"n_components": 0}, InvalidArgumentError, "n_components has to be at least 1, got 0"),
     ],
@@ -209,11 +213,11 @@ def test_arguments_that_do_not_fit_are_refused(angle, options, kind, message):
 
 def test_motions_that_do_not_fit_are_refused(angle, random_mixture):
     other = Demonstrations([torch.rand(20, 3)], dt=0.1)
-    with pytest.raises(InvalidArgumentError, match=r"the motions of a batch need one dimension, got \[2, 3\]"):
+    with pytest.raises(InvalidArgumentError, match=r"the motions of a batch have to have one dimension, got \[2, 3\]"):
         fit_stable([angle, other], 2)
     with pytest.raises(InvalidArgumentError, match="demos has to be Demonstrations or a sequence of them"):
         fit_stable([], 2)
-    with pytest.raises(InvalidArgumentError, match="a motion does not move"):
+    with pytest.raises(InvalidArgumentError, match="every motion has to move"):
         fit_stable(Demonstrations([torch.ones(20, 2)], dt=0.1), 2)
     with pytest.raises(InvalidArgumentError, match=r"start has to be 1 mixtures of 4 variables.*batch_shape=\(2,\)"):
         fit_stable(angle, start=random_mixture(F=4, batch=(2,)))

@@ -95,17 +95,23 @@ def test_the_summary_names_the_sizes(random_mixture):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"priors": torch.ones(3) / 3}, "do not fit together; expected (*batch, K), (*batch, K, F)"),
-        ({"means": torch.zeros(2, 3)}, "do not fit together"),
-        ({"means": torch.zeros(2)}, "do not fit together"),
-        ({"covariances": torch.eye(2)}, "do not fit together"),
-        ({"means": torch.full((2, 2), torch.nan)}, "means contain NaN or infinity"),
-        ({"priors": torch.tensor([torch.inf, 0.0])}, "priors contain NaN or infinity"),
-        ({"covariances": torch.full((2, 2, 2), -torch.inf)}, "covariances contain NaN or infinity"),
+        (
+            {"priors": torch.ones(3) / 3},
+            "have to be (*batch, K), (*batch, K, F) and (*batch, K, F, F), got (3,), (2, 2) and",
+        ),
+        ({"means": torch.zeros(2, 3)}, "and (*batch, K, F, F), got (2,), (2, 3) and (2, 2, 2)"),
+        ({"means": torch.zeros(2)}, "got (2,), (2,) and (2, 2, 2)"),
+        ({"covariances": torch.eye(2)}, "got (2,), (2, 2) and (2, 2)"),
+        ({"means": torch.full((2, 2), torch.nan)}, "means have to be finite, got NaN or infinity"),
+        ({"priors": torch.tensor([torch.inf, 0.0])}, "priors have to be finite, got NaN or infinity"),
+        ({"covariances": torch.full((2, 2, 2), -torch.inf)}, "covariances have to be finite, got NaN or infinity"),
         ({"priors": torch.tensor([1.5, -0.5])}, "≥ 0 and sum to 1, got [1.5, -0.5]"),
         ({"priors": torch.tensor([0.5, 0.4])}, "≥ 0 and sum to 1"),
-        ({"covariances": torch.stack([torch.eye(2), -torch.eye(2)])}, "component(s) [1] are not symmetric positive"),
-        ({"covariances": torch.tensor([[[1.0, 0.5], [0.0, 1.0]]] * 2)}, "component(s) [0, 1] are not symmetric"),
+        (
+            {"covariances": torch.stack([torch.eye(2), -torch.eye(2)])},
+            "symmetric positive definite, got others in component(s) [1]; fit",
+        ),
+        ({"covariances": torch.tensor([[[1.0, 0.5], [0.0, 1.0]]] * 2)}, "definite, got others in component(s) [0, 1]"),
         ({"covariances": torch.zeros(2, 2, 2)}, "add a small multiple of the identity"),
     ],
 )
@@ -154,7 +160,10 @@ def test_a_single_array_and_a_file_without_means_are_refused(tmp_path):
     with pytest.raises(FileError, match=r"array\.npy: not a readable \.npz file of a mixture"):
         GaussianMixture.load(tmp_path / "array.npy")
     np.savez(tmp_path / "part.npz", priors=np.ones(1))
-    with pytest.raises(FileError, match=r"part\.npz: no covariances, means; a mixture file holds priors"):
+    with pytest.raises(
+        FileError,
+        match=r"part\.npz: a mixture file has to hold priors .*, got one without covariances, means; write it",
+    ):
         GaussianMixture.load(tmp_path / "part.npz")
 
 
@@ -305,13 +314,25 @@ REFUSED = {
     "empty": (lambda y: y[:0], "samples have to be a tensor (M, F), got shape (0, 4)"),
     "without variables": (lambda y: y[:, :0], "samples have to be a tensor (M, F), got shape (60, 0)"),
     "one-dimensional": (lambda y: y[:, 0], "samples have to be a tensor (M, F), got shape (60,)"),
-    "not a number": (lambda y: with_row(y, torch.nan), "sample 30, variable 0 is nan; all have to be finite"),
-    "infinite": (lambda y: with_row(y, -torch.inf), "sample 30, variable 0 is -inf; all have to be finite"),
-    "squares overflow": (lambda y: with_row(y, 1e200), "sample 30, variable 0 is 1e+200; all have to be finite"),
-    "one sample": (lambda y: y[:1], "a mixture needs at least 2 samples, got 1; record more samples"),
-    "fewer samples than components": (lambda y: y[:2], "at least 3 distinct samples, got 2 among 2; record more"),
-    "fewer distinct samples": (lambda y: y[:2].repeat(30, 1), "got 2 among 60; record more samples or choose n_comp"),
-    "all constant": (lambda y: torch.ones_like(y), "got 1 among 60; record more samples or choose n_components ≤ 1"),
+    "not a number": (
+        lambda y: with_row(y, torch.nan),
+        "have to be finite and below 1e150, got nan in sample 30, variable 0",
+    ),
+    "infinite": (
+        lambda y: with_row(y, -torch.inf),
+        "have to be finite and below 1e150, got -inf in sample 30, variable 0",
+    ),
+    "squares overflow": (
+        lambda y: with_row(y, 1e200),
+        "have to be finite and below 1e150, got 1e+200 in sample 30, variable 0",
+    ),
+    "one sample": (lambda y: y[:1], "samples have to be at least 2, got 1; record more samples"),
+    "fewer samples than components": (lambda y: y[:2], "number of distinct samples, 2 among 2, got 3; record more"),
+    "fewer distinct samples": (
+        lambda y: y[:2].repeat(30, 1),
+        "2 among 60, got 3; record more samples or choose n_comp",
+    ),
+    "all constant": (lambda y: torch.ones_like(y), "1 among 60, got 3; record more samples or choose n_components ≤ 1"),
     "collinear and huge": (lambda y: 1e8 * FITTED["collinear"](y), "raise the floor or take fewer components"),
 }
 

@@ -80,7 +80,7 @@ def test_a_recruited_policy_learns_and_comes_back_from_its_state(random_policy):
 @pytest.mark.parametrize(
     ("at", "width", "words"),
     [
-        (torch.zeros(3), 1.0, "place has to be"),
+        (torch.zeros(3), 1.0, r"at has to be finite and \(2,\).*got .* of shape \(3,\)"),
         (torch.zeros(2, 2), 1.0, "batch_shape"),
         (torch.full((2,), torch.nan), 1.0, "finite"),
         (torch.zeros(2), 0.0, "width"),

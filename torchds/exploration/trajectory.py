@@ -1,6 +1,6 @@
 """Noise that is homogeneous along the whole motion (beyond section 4.1).
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

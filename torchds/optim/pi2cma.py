@@ -1,6 +1,6 @@
 """PI^BB that adapts the covariance of its noise: PI2-CMA.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Trying each policy several times, where the system is noisy.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """PI^BB that thinks before it tries: noise is preselected by what similar roll-outs cost.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations
