@@ -33,7 +33,7 @@ TERMS = ("#1f5fa8", "#2a9d5c", "#8d6cc3", "#c98a1b", "#4bb3c2", "#8a5a3c")
 
 def limits(*tracks: Tensor, margin: float = 0.12) -> tuple[tuple[float, float], tuple[float, float]]:
     """Axis limits around all finite points of 2-D tracks `(..., 2)`, with a relative margin."""
-    points = torch.cat([t.detach().reshape(-1, 2) for t in tracks])
+    points = torch.cat([t.detach().double().reshape(-1, 2) for t in tracks])
     points = points[points.isfinite().all(-1)]
     low, high = points.amin(0), points.amax(0)
     pad = margin * (high - low).clamp_min(1e-9).max()

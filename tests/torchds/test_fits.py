@@ -149,26 +149,6 @@ def test_fits_may_share_a_start(angle, fitted):
     assert_close(fit.policy.A.data, fitted["p-qlf"].policy.A.data, rtol=1e-2, atol=1e-2)  # units there and back
 
 
-def test_mixtures_are_those_of_the_data(angle):
-    """In units of the data: the marginal densities of the padded batch are those of one fit alone."""
-    both = fit_mixtures([angle, motion("Sine", 2)], [2, 4])
-    alone = fit_mixtures(angle, 2)
-    x, v, _ = angle.stacked()
-    y = torch.cat([x, v], -1)
-    assert_close(both.log_prob(y.expand(2, -1, -1))[0], alone.log_prob(y))
-    spread = torch.cov(y.T)
-    mean = (alone.priors[:, None] * alone.means).sum(0)
-    assert_close(mean, y.mean(0), rtol=1e-4, atol=1e-4)
-    off = alone.means - mean
-    total = (alone.priors[:, None, None] * (alone.covariances + off[:, :, None] * off[:, None])).sum(0)
-    assert_close(total, spread, rtol=0.01, atol=0.02 * float(spread.max()))
-
-
-def test_bic_chooses_more_components_for_the_longer_shape():
-    n = (fit_mixtures([motion("Line"), motion("Worm")], "bic", max_components=8).priors > 0).sum(-1)
-    assert 1 < n[0] < n[1] <= 8
-
-
 def test_a_fit_does_not_need_the_callers_gradients(angle):
     with torch.no_grad():
         assert fit_stable(angle, 2, n_steps=10).certificate().stable

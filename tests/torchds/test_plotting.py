@@ -1,0 +1,102 @@
+"""What is drawn, read back from the axes."""
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from tests.motions import two
+from torchds import plotting
+
+
+@pytest.fixture
+def axes():
+    return Figure().add_subplot()
+
+
+def legend(axes):
+    return axes.get_legend_handles_labels()[1]
+
+
+def test_limits_hold_all_finite_points_with_a_margin():
+    a, b = torch.tensor([[0.0, 1.0], [4.0, torch.nan]]), torch.tensor([[[1.0, 3.0]], [[-1.0, 2.0]]], requires_grad=True)
+    (x0, x1), (y0, y1) = plotting.limits(a, b, margin=0.5)
+    assert (x0, x1, y0, y1) == (-2.0, 2.0, 0.0, 4.0)  # the box [-1, 1] x [1, 3], half of its longer side added
+    (x0, x1), _ = plotting.limits(torch.ones(3, 2))
+    assert x0 < 1 < x1
+
+
+def test_streamlines_follow_the_velocity_of_the_policy(axes, random_policy):
+    policy = random_policy()
+    axes.set(xlim=(-2, 2), ylim=(-1, 3))
+    plotting.field(axes, policy, resolution=80)
+    segments = axes.collections[0].get_segments()
+    along = np.concatenate([np.diff(line, axis=0) for line in segments])
+    middle = np.concatenate([(line[1:] + line[:-1]) / 2 for line in segments])
+    long = np.linalg.norm(along, axis=-1) > 1e-6
+    along, v = along[long], policy(torch.from_numpy(middle[long])).detach().numpy()
+    cosine = (along * v).sum(-1) / np.linalg.norm(along, axis=-1) / np.linalg.norm(v, axis=-1)
+    assert len(along) > 100 and np.quantile(cosine, 0.1) > 0.99
+
+
+def test_ellipses_are_one_standard_deviation(axes, random_policy):
+    policy = random_policy(K=3)
+    plotting.gaussians(axes, policy)
+    assert len(axes.patches) == 3 and legend(axes) == ["Gaussians (1 sd)"]
+    for patch, mean, covariance in zip(axes.patches, policy.means.numpy(), policy.covariances.numpy(), strict=True):
+        curve = patch.get_patch_transform().transform_path(patch.get_path()).interpolated(1)
+        corners = curve.vertices[::3][:9] - mean  # those of the Bézier curves lie on the ellipse
+        distance = np.einsum("ni,ij,nj->n", corners, np.linalg.inv(covariance), corners)
+        assert distance == pytest.approx(1.0, abs=1e-6)
+
+
+def test_motions_are_drawn_once_each_with_one_entry_in_the_legend(axes):
+    demos, tracks = two(), torch.rand(2, 3, 5, 4, requires_grad=True)
+    plotting.demonstrations(axes, demos)
+    plotting.trajectories(axes, tracks, color=plotting.AFTER, label="learned")
+    assert legend(axes) == ["demonstrations", "learned"] and len(axes.lines) == 2 + 6
+    for line, demo in zip(axes.lines, demos, strict=False):
+        assert np.array_equal(line.get_xydata(), demo.x.numpy())
+    for line, track in zip(axes.lines[2:], tracks.detach().flatten(0, 1), strict=True):
+        assert np.array_equal(line.get_xydata(), track[:, :2].numpy()) and line.get_color() == plotting.AFTER
+
+
+def test_markers_and_walls_stand_where_they_are(axes):
+    starts, goal, via = torch.tensor([[1.0, 2.0, 9.0]]), torch.tensor([3.0, 4.0, 9.0]), torch.tensor([[5.0, 6.0]])
+    plotting.markers(axes, starts, goal, {"first": via, "second": 2 * via})
+    drawn = [line.get_xydata().tolist() for line in axes.lines]
+    assert drawn == [[[1, 2]], [[3, 4]], [[5, 6]], [[5, 6]], [[10, 12]], [[10, 12]]]
+    assert legend(axes) == ["start", "goal", "first", "second"]
+    plotting.walls(axes, torch.tensor([[[0.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [1.0, 2.0]]]))
+    assert axes.lines[-1].get_xydata().tolist() == [[1, 0], [1, 2]] and legend(axes)[-1] == "walls"
+
+
+def test_a_map_has_equal_axes_and_units(axes):
+    axes.plot([0, 1], [0, 1], label="a")
+    plotting.finish_map(axes, "A map", "mm", ("x", "z"))
+    assert axes.get_aspect() == 1 and (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "z [mm]")
+    assert axes.get_title() == "A map" and [text.get_text() for text in axes.get_legend().get_texts()] == ["a"]
+    plotting.finish_map(axes, "")
+    assert axes.get_xlabel() == "x1"
+
+
+def test_learning_curves_are_medians_between_quartiles(axes):
+    costs = np.random.default_rng(0).uniform(1, 2, (4, 9))
+    costs[2, 3] = np.nan  # a failed roll-out
+    plotting.learning_curves(axes, [0, 10, 20, 30], {"via_points": costs, "total": 2 * costs})
+    first, total = axes.lines
+    median = [sorted(row[~np.isnan(row)]) for row in costs]
+    expected = [(row[4] if len(row) == 9 else (row[3] + row[4]) / 2) for row in median]
+    assert first.get_ydata() == pytest.approx(expected) and total.get_ydata() == pytest.approx(2 * np.array(expected))
+    assert first.get_xdata() == pytest.approx([0, 10, 20, 30])
+    assert legend(axes) == ["via-points", "total"] and to_rgba(total.get_color()) == to_rgba("black")
+    band = axes.collections[0].get_paths()[0].vertices
+    at_start = np.unique(band[band[:, 0] == 0][:, 1])
+    assert at_start == pytest.approx([sorted(costs[0])[2], sorted(costs[0])[6]])  # the quartiles of nine
+    assert axes.get_yscale() == "log"
+
+
+def test_a_negative_cost_needs_a_linear_scale(axes):
+    plotting.learning_curves(axes, [0, 1], {"total": [[1.0, 2.0], [-1.0, 2.0]]})
+    assert axes.get_yscale() == "linear"
