@@ -6,7 +6,6 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar, dataclass_transform
 
@@ -14,16 +13,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tasks.settings import Convention, Motion, Numbers, Scene, SearchSettings
+from tasks.settings import Convention, Motion, Scene, SearchSettings
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
 from torchds.plants import Plant
 from torchds.rollouts import StopCondition
 
 T = TypeVar("T")
 
-FLOOR = 1e-6
-SPEED, SLOPE, STIFFNESS, CONTROL = 0.12, 0.05, 0.1, 0.1
-"""Shares of `Task.numbers`, of the size of what the paper's constants are on its own tasks."""
+FLOOR = 1e-6  # of the mean variance of the data, see `Task.covariance_floor`
 
 
 class Given(Generic[T]):
@@ -74,9 +71,9 @@ class Task(ABC):
     """
 
     demonstrations: Given[Demonstrations] = Given(load, lambda task: task.default_demonstrations())
-    """In place of the task's own, as an object or a path that `torchds.load` reads."""
+    """Demonstrations in place of the task's own, as an object or a path that `torchds.load` reads."""
     mixture: Given[GaussianMixture] = Given(GaussianMixture.load, lambda task: task.fit(task.demonstrations))
-    """In place of one fitted to the demonstrations, as an object or a path of an .npz file."""
+    """A mixture in place of one fitted to the demonstrations, as an object or a path of an .npz file."""
 
     name: ClassVar[str] = ""
     convention: ClassVar[Convention] = "paper"
@@ -100,14 +97,14 @@ class Task(ABC):
 
     @abstractmethod
     def default_demonstrations(self) -> Demonstrations:
-        """The task's own demonstrations."""
+        """What the task learns from if nothing else is given."""
 
     @abstractmethod
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """The named cost terms of a trial, each `(*batch)`; their sum is the cost."""
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Those of the terms that add up over time, step by step `(*batch, T)`; the others come due at the end."""
+        """The cost terms that add up over time, step by step `(*batch, T)`; all other terms come due at the end."""
         return {}
 
     # ------------------------------------------------------------------ what it may say otherwise
@@ -139,7 +136,7 @@ class Task(ABC):
 
     @property
     def P(self) -> Tensor | None:
-        """Of the condition that a stable policy of this task satisfies (`torchds.stability`); None for the identity."""
+        """The matrix in the stability condition of the policies (`torchds.stability`); None for the identity."""
         return None
 
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
@@ -188,40 +185,9 @@ class Task(ABC):
         """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""
         path = self.rollout(policy)
         deviation = policy.rows() - policy.initial_rows
-        upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.numbers.control_weight)
+        upsilon = costs.control_cost(deviation, torch.zeros_like(deviation), path.features, self.search.control_weight)
         terms = self.cost_terms(path)
         return path, {**terms, "control": 0.5 * upsilon.flatten(len(policy.batch_shape)).sum(-1)}
-
-    @property
-    def numbers(self) -> Numbers:
-        """The sizes of `search`; where it has none, shares of what the imitated motion is.
-
-        * mean_speed: 12 % of the motion's mean speed;
-        * std: 5 % of the root mean square of the entries of A [1/s];
-        * mean_stiffness: a tenth of the mean stiffness along the motion;
-        * control_weight: a policy that is changed by as much as its parameters are costs a tenth of the imitated motion.
-        """
-        search, names = self.search, Numbers._fields
-        own = {name: value for name in names if (value := getattr(search, name)) is not None}
-        return Numbers(**(own if len(own) == len(names) else {**self._shares._asdict(), **own}))
-
-    @cached_property
-    def _shares(self) -> Numbers:
-        """The sizes that are shares of the imitated motion."""
-        with torch.no_grad():
-            policy, (x0, n_steps, dt) = self.policy(), self.motion()
-            imitated, state = rollout(policy, x0, n_steps, dt), self.state_dict()
-            cost = float(self.cost(self.rollout(policy)).abs())
-            self.load_state_dict(state)
-            points = imitated.v[..., 0, 0].numel()
-            size = points * n_steps * float(policy.pack().square().sum())
-            stiffness = 0.0 if imitated.stiffness is None else float(imitated.stiffness.abs().mean())
-            return Numbers(
-                control_weight=2 * CONTROL * cost / size if np.isfinite(cost) and size else 0.0,
-                mean_speed=SPEED * float(imitated.v.norm(dim=-1).mean()),
-                std=SLOPE * float(policy.A.square().mean().sqrt()),
-                mean_stiffness=STIFFNESS * stiffness,
-            )
 
 
 def total(terms: Iterable[Tensor]) -> Tensor:

@@ -83,7 +83,7 @@ class ConstrainedReaching(Task):
     search = replace(PAPER_SEARCH, n_updates=100, control_weight=1e-3, std=0.05)
 
     condition: Literal["seds", "p-qlf"] = "seds"
-    """Of the fit. seds: as in the paper. p-qlf: with a learned metric P."""
+    """Stability condition of the fit. seds: as in the paper. p-qlf: with a learned metric P."""
 
     def __post_init__(self) -> None:
         if self.condition not in ("seds", "p-qlf"):
@@ -110,7 +110,7 @@ class ConstrainedReaching(Task):
 
     @property
     def P(self) -> Tensor | None:
-        """Of the condition that the policy satisfies; None for the identity."""
+        """The matrix in the condition that the policy satisfies; None for the identity."""
         return self.stable_fit.P if self.condition == "p-qlf" and self.given_mixture is None else None
 
     def policy(self) -> GMRPolicy:
@@ -120,7 +120,7 @@ class ConstrainedReaching(Task):
         return copy.deepcopy(self.stable_fit.policy)
 
     def motion(self) -> Motion:
-        """From the one start."""
+        """The motion from the one start."""
         return Motion(self.start, round(DURATION / DT), DT)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:

@@ -30,7 +30,7 @@ def _trials(task: Task | str, n: int, options: dict[str, Any]) -> Trials:
 
 
 def _spaces(trials: Trials) -> tuple[Box, Box]:
-    """Of observations and of actions."""
+    """The spaces of observations and of actions."""
     return Box(-Trials.BOUND, Trials.BOUND, (trials.n_observations,)), Box(-1.0, 1.0, (trials.n_actions,))
 
 
@@ -57,13 +57,13 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         self.observation_space, self.action_space = _spaces(self.trials)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """To the start."""
+        """Go back to the start."""
         super().reset(seed=seed)
         self.trials.reset()
         return observations(self.trials)[0], {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """One step of the roll-out."""
+        """Make one step of the roll-out."""
         reward = self.trials.step(torch.as_tensor(action)[None])
         return observations(self.trials)[0], float(reward), self.trials.done, False, {}
 
@@ -89,13 +89,13 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """All to the start."""
+        """Put all roll-outs back to the start."""
         super().reset(seed=seed)
         self.trials.reset()
         return observations(self.trials), {}
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """One step of every roll-out."""
+        """Make one step of every roll-out."""
         rewards, done = self.trials.step(torch.as_tensor(actions)).numpy(), self.trials.done
         ended, infos = np.full(self.num_envs, done), {}
         if done:

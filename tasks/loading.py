@@ -46,7 +46,7 @@ def load_object(spec: str, base: type[T]) -> type[T]:
     """
     where, _, name = spec.rpartition(":")
     if not where or not name:
-        raise InvalidArgumentError(f"{spec!r} has to be FILE.py:NAME or PACKAGE.MODULE:NAME")
+        raise InvalidArgumentError(f"the place of a class has to be FILE.py:NAME or PACKAGE.MODULE:NAME, got {spec!r}")
     module = _from_file(Path(where)) if where.endswith(".py") else _from_module(where, spec)
     found = getattr(module, name, None)
     if found is None:
@@ -88,7 +88,7 @@ def _from_file(file: Path) -> ModuleType:
 
 
 def _from_module(where: str, spec: str) -> ModuleType:
-    """An importable module."""
+    """The module of this name, imported."""
     try:
         return importlib.import_module(where)
     except Exception as error:

@@ -43,7 +43,7 @@ class DiggingOptions(Task):
     threads: int = 2
     """Threads that share the roll-outs of a batch; the results do not depend on them."""
     seed: int = 0
-    """Of the beds."""
+    """Seed of the beds; each trial has another one."""
 
     def __post_init__(self) -> None:
         if not LOW <= self.initial_stiffness <= HIGH:
@@ -54,5 +54,6 @@ class DiggingOptions(Task):
             raise InvalidArgumentError(f"grains has to be 'fine' or 'coarse', got {self.grains!r}")
         if not self.seconds > WEIGHING or self.threads < 1 or self.seed < 0:
             raise InvalidArgumentError(
-                f"seconds > {WEIGHING}, threads ≥ 1 and seed ≥ 0 are needed, got {self.seconds}, {self.threads} and {self.seed}"
+                f"seconds has to be above {WEIGHING}, threads at least 1 and seed at least 0, got {self.seconds}, "
+                f"{self.threads} and {self.seed}"
             )

@@ -78,7 +78,7 @@ def task_class(name: str, convention: str = "paper") -> type[Task]:
         if known == convention:
             return task if task is not DiggingOptions else _digging()
     has = " or ".join(map(repr, classes))
-    raise InvalidArgumentError(f"task {first.name!r} has the convention {has}, got {convention!r}")
+    raise InvalidArgumentError(f"convention of task {first.name!r} has to be {has}, got {convention!r}")
 
 
 def _digging() -> type[Task]:

@@ -31,13 +31,14 @@ class Motion(NamedTuple):
 class SearchSettings:
     """What a task proposes to whoever searches.
 
-    A size that is None is a share of the imitated motion (see `Task.numbers`), so that a task with units of its own needs
-    no constants. The tasks of the paper give theirs.
+    A size of noise that is None is a share of the imitated motion, as `Homogeneous.relative`, `Gaussian.relative` and
+    `TrajectorySpace.relative` have it, so that a task with units of its own needs no constants. The tasks of the paper give
+    theirs.
 
     Attributes:
         n_updates: policy updates.
         n_rollouts: N, roll-outs per update.
-        control_weight: r of the control cost r I.
+        control_weight: r of the control cost r I; it compares parameters with costs, so that only the task can know it.
         mean_speed: of the homogeneous exploration [velocity unit of the task].
         homogeneous: the homogeneous exploration, made with `(policy, mean_speed, mean_stiffness=)`.
         std: of independent noise: on all parameters alike, or on A where b is tied to it [1/s].
@@ -52,7 +53,7 @@ class SearchSettings:
 
     n_updates: int = 50
     n_rollouts: int = 10
-    control_weight: float | None = None
+    control_weight: float = 0.0
     mean_speed: float | None = None
     homogeneous: type[Homogeneous] = Homogeneous
     std: float | None = None
@@ -68,15 +69,6 @@ PAPER_SEARCH = SearchSettings(control_weight=5e-4, mean_speed=0.1, std=0.01, mea
 """The numbers of section 3.3, from which the tasks of the paper begin."""
 PAPER_FLOOR = 1e-6
 """Added to the covariances of the paper's tasks while they are fitted."""
-
-
-class Numbers(NamedTuple):
-    """The sizes of `SearchSettings` without a None among them."""
-
-    control_weight: float
-    mean_speed: float
-    std: float
-    mean_stiffness: float
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,11 @@ class Trials:
 
     def __init__(self, task: Task, n: int) -> None:
         if n < 1:
-            raise InvalidArgumentError(f"at least one trial is needed, got {n}")
+            raise InvalidArgumentError(f"n has to be at least 1, got {n}")
         if type(task).rollout is not Task.rollout:
-            raise InvalidArgumentError(f"the roll-outs of task {task.name!r} cannot be made step by step")
+            raise InvalidArgumentError(
+                f"a task that is tried step by step has to use `Task.rollout`, got {task.name!r} with a rollout of its own"
+            )
         self.task, self.policy = task, task.policy().requires_grad_(False)
         motion, scene = task.motion(), task.scene()
         x0, self.n_steps, self.dt = motion
@@ -63,7 +65,7 @@ class Trials:
         self.n_observations = self.observe().shape[-1]
 
     def reset(self) -> None:
-        """To the start."""
+        """Put all roll-outs back to the start."""
         self.moments: list[Moment] = [begin(self.x0, self.policy.output_dim, self.task.stop, self.task.plant)]
         self.features: list[Tensor] = []
         self.stiffness: list[Tensor] = []
@@ -72,12 +74,12 @@ class Trials:
 
     @property
     def now(self) -> Moment:
-        """Where the roll-outs are."""
+        """The state of the roll-outs at this moment."""
         return self.moments[-1]
 
     @property
     def t(self) -> int:
-        """Steps made."""
+        """How many steps have been made."""
         return len(self.moments) - 1
 
     @property
@@ -124,7 +126,7 @@ class Trials:
         return total([steps.sum(-1) for steps in self.task.running_costs(path).values()])
 
     def distances(self) -> Tensor:
-        """`(M, *points, L)` from each via-point at this moment."""
+        """Distances `(M, *points, L)` from each via-point at this moment."""
         x = self.now.x if self.now.plant is None else self.now.plant.x
         return (x.unsqueeze(-2) - self.via_points).norm(dim=-1)
 

@@ -75,7 +75,7 @@ class TwoStarts(Task):
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
 
     def motion(self) -> Motion:
-        """From both starts."""
+        """The motion from both starts."""
         return Motion(self.starts, round(self.setup.duration / self.setup.dt), self.setup.dt)
 
     def over_starts(self, value: Tensor) -> Tensor:
@@ -92,7 +92,7 @@ class TwoStarts(Task):
         }
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """The acceleration."""
+        """The acceleration term by steps."""
         return {"acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v).sum(-2)}
 
     def scene(self) -> Scene:

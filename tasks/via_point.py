@@ -72,7 +72,7 @@ class ViaPoint(Task):
     setups: ClassVar[Mapping[str, Setup]] = {"N": N, "P": P}
 
     shape: Literal["N", "P"] = "N"
-    """The letter."""
+    """Which letter is drawn."""
 
     def __post_init__(self) -> None:
         if self.shape not in self.setups:
@@ -91,7 +91,7 @@ class ViaPoint(Task):
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
 
     def motion(self) -> Motion:
-        """From the one start."""
+        """The motion from the one start."""
         return Motion(self.start, round(self.setup.duration / self.setup.dt), self.setup.dt)
 
     def judged(self, path: Rollout) -> Tensor:
@@ -105,7 +105,7 @@ class ViaPoint(Task):
         return {"via_points": costs.via_points(x, self.via_points), "goal": costs.goal(x, self.goal), **running}
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """The acceleration."""
+        """The acceleration term by steps."""
         return {"acceleration": ACCELERATION_WEIGHT * costs.acceleration_steps(path.v)}
 
     def scene(self) -> Scene:

@@ -24,6 +24,12 @@ Optimizer = Literal[
     "pibb", "pi2", "pi2cma", "surrogate", "nes", "cma", "cobyqa", "finite_differences", "adam", "sgd", "lbfgs"
 ]
 
+LEARNERS: dict[str, dict[str, Any]] = {
+    "pibb": {"optimizer": "pibb", "exploration": "homogeneous"},
+    "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
+}
+"""Options of the two learners that are held against each other: that of the paper, and the one to recommend."""
+
 
 @dataclass
 class RunOptions:

@@ -26,7 +26,7 @@ import numpy as np
 from torchds.errors import InvalidArgumentError, TorchdsError
 
 FORMAT = 1
-"""Of what is in the cache; raise it with any change of the model of the bed."""
+"""Version of the beds in the cache; raise it with any change of the model of the bed."""
 
 SOLREF, SOLIMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 WALL_HEIGHT, WALL_THICKNESS = 0.20, 0.02  # m
@@ -68,20 +68,20 @@ class Gravel:
         low, high = self.radius
         if self.n_grains < 1 or not 0 < low <= high or not self.box[1] - self.box[0] > 4 * high:
             raise InvalidArgumentError(
-                f"a bed needs grains, radii 0 < low ≤ high and a box wider than two of them, got {self.n_grains} grains, "
+                f"a bed has to have grains, radii 0 < low ≤ high and a box wider than two of them, got {self.n_grains} grains, "
                 f"radius={self.radius}, box={self.box}"
             )
         if not min(self.width, self.density, self.time_step, self.seconds) > 0 or not self.friction >= 0:
             raise InvalidArgumentError(
-                f"width, density, time_step and seconds have to be positive, friction ≥ 0: {self}"
+                f"width, density, time_step and seconds have to be positive, friction not negative, got {self}"
             )
 
     def radii(self) -> np.ndarray:
-        """`(G,)` [m]."""
+        """Radii of the grains, `(G,)` [m]."""
         return np.random.default_rng(self.seed).uniform(*self.radius, self.n_grains)
 
     def masses(self) -> np.ndarray:
-        """`(G,)` [kg]."""
+        """Masses of the grains, `(G,)` [kg]."""
         return self.density * pi * self.radii() ** 2 * self.width
 
     def key(self) -> str:
@@ -105,7 +105,7 @@ def options(spec: mujoco.MjSpec, gravel: Gravel) -> None:
 
 
 def touch(geom: mujoco.MjsGeom, kind: tuple[int, int], gravel: Gravel) -> None:
-    """Make `geom` a GRAIN or RIGID."""
+    """Let `geom` touch others as a GRAIN does, or as something RIGID."""
     geom.contype, geom.conaffinity = kind
     geom.condim, geom.friction[0] = 3, gravel.friction
     geom.solref[:], geom.solimp[:] = SOLREF, SOLIMP
@@ -200,7 +200,7 @@ def perturbed(places: np.ndarray, seeds: list[int], std: float = 1e-4) -> np.nda
 
 
 def cache_folder() -> Path:
-    """`torchds` in $XDG_CACHE_HOME, or in ~/.cache."""
+    """The folder of settled beds: `torchds` in $XDG_CACHE_HOME, or in ~/.cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchds"
 
 

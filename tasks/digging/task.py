@@ -67,7 +67,7 @@ class LwrDigging(DiggingOptions):
         self.progress: Callable[[float], object] | None = None
         if self.demonstrations.dim != 3:
             raise InvalidArgumentError(
-                "digging demonstrations have three dimensions, x and z [m] and the angle [rad], got "
+                "demonstrations of digging have to have three dimensions, x and z [m] and the angle [rad], got "
                 f"{self.demonstrations.dim}: {', '.join(self.demonstrations.names)}"
             )
         self.start = torch.stack([d.x[0] for d in self.demonstrations]).mean(0).to(torch.float64)
@@ -92,7 +92,7 @@ class LwrDigging(DiggingOptions):
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 5), 2, stiffness_dim=1, stiffness=self.initial_stiffness)
 
     def motion(self) -> Motion:
-        """From the one start."""
+        """The motion from the one start."""
         return Motion(self.start[:2], round(self.seconds / self.dt), self.dt)
 
     # ------------------------------------------------------------------ a trial
@@ -159,7 +159,7 @@ class LwrDigging(DiggingOptions):
         return {"gravel": gravel, "goal": goal, **running}
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Force, stiffness and acceleration."""
+        """The terms of force, stiffness and acceleration by steps."""
         done: Recording = path.plant
         per_step = self.dt / COST_STEP
         # Over shorter steps the velocity changes by a part of this, and more often.
@@ -227,5 +227,5 @@ class LwrDigging(DiggingOptions):
         return {"trials": self.trials}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on with the next bed."""
+        """Continue with the bed that comes next."""
         self.trials = int(state["trials"])

@@ -53,7 +53,7 @@ class Worlds:
 
     def __init__(self, gravel: Gravel, n: int, n_threads: int = 1) -> None:
         if n < 1 or n_threads < 1:
-            raise InvalidArgumentError(f"at least one roll-out and one thread are needed, got {n} and {n_threads}")
+            raise InvalidArgumentError(f"n and n_threads have to be at least 1, got {n} and {n_threads}")
         self.gravel = gravel
         self.n = n
         self.seconds = {"control": 0.0, "physics": 0.0}
@@ -82,7 +82,7 @@ class Worlds:
             InvalidArgumentError: not one seed a roll-out.
         """
         if len(seeds) != self.n:
-            raise InvalidArgumentError(f"one seed for each of the {self.n} roll-outs is needed, got {len(seeds)}")
+            raise InvalidArgumentError(f"seeds have to be {self.n}, one for each roll-out, got {len(seeds)}")
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.batch.warning[:] = 0
         self._broken[:] = False
@@ -122,7 +122,7 @@ class Worlds:
 
     @property
     def reading(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the force sensor: its frame `(N, 9)` in the base frame, and the force in it `(N, 3)` [N]; see `force`."""
+        """What the force sensor reads: its frame `(N, 9)` in the base frame, and the force in it `(N, 3)` [N]; see `force`."""
         return self._frames[:, self._ft].copy(), self._sensors[:, :3].copy()
 
     @staticmethod
@@ -146,7 +146,7 @@ class Worlds:
 
     @property
     def kinetic_energy(self) -> Tensor:
-        """`(N,)` of the grains' motion along x and z [J]."""
+        """Kinetic energy of the grains, `(N,)` of their motion along x and z [J]."""
         speeds = self._qvel[:, lwr.N_JOINTS :].reshape(self.n, -1, 3)[..., :2]
         return torch.from_numpy(0.5 * (self.gravel.masses() * np.square(speeds).sum(-1)).sum(-1))
 

@@ -119,7 +119,7 @@ class ArchTask(Task):
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), 2, stiffness_dim=Q, stiffness=self.initial_stiffness)
 
     def motion(self) -> Motion:
-        """From the one start."""
+        """The motion from the one start."""
         start = torch.tensor(self.setup.start, dtype=torch.float64)
         return Motion(start, round(self.setup.duration / DT), DT)
 

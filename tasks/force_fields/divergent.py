@@ -50,7 +50,7 @@ class DivergentField(ArchTask):
         return arch(torch.linspace(0, 1, N_PATH, dtype=torch.float64))
 
     def force(self) -> Force:
-        """The divergent field."""
+        """The force that pushes away from the path."""
         return radial_field(self.nominal())
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
@@ -63,7 +63,7 @@ class DivergentField(ArchTask):
         }
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Acceleration and stiffness."""
+        """The terms of acceleration and stiffness by steps."""
         acceleration, stiffness = self.effort(path)
         return {
             "acceleration": self.setup.acceleration_weight * acceleration,

@@ -62,7 +62,7 @@ class HalfPlaneForce(ArchTask):
         }
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Acceleration and stiffness, mean over the executions."""
+        """The terms of acceleration and stiffness by steps, means over the executions."""
         acceleration, stiffness = (self.over_executions(value) for value in self.effort(path))
         return {
             "acceleration": self.setup.acceleration_weight * acceleration,

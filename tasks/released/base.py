@@ -31,7 +31,7 @@ class Released(Task):
     convention = "released"
 
     def default_demonstrations(self) -> Demonstrations:
-        """None.
+        """There are none to give.
 
         Raises:
             InvalidArgumentError: always.

@@ -46,17 +46,17 @@ class WalledMass:
         self.free = released_plant()
 
     def inside(self, x: Tensor) -> Tensor:
-        """`(..., 1)` True inside a block, for `x` `(..., D)`."""
+        """Whether `x` `(..., D)` is inside a block, `(..., 1)`."""
         low, high = self.blocks.to(x).unbind(-2)
         x = x.unsqueeze(-2)
         return ((x > low) & (x < high)).all(-1).any(-1, keepdim=True)
 
     def reset(self, x0: Tensor) -> WalledMotion:
-        """At rest at `x0`."""
+        """Put the mass at `x0`, at rest."""
         return WalledMotion(*self.free.reset(x0), held=x0)
 
     def step(self, state: WalledMotion, command: Command) -> WalledMotion:
-        """One step of the free plant, unless it is stuck."""
+        """Make one step of the free plant, unless it is stuck."""
         stuck = self.inside(state.x)
         held = torch.where(stuck, state.held, command.x)
         v = command.v.masked_fill(stuck, 0.0)
@@ -102,5 +102,5 @@ class ReleasedConstrainedReaching(Released, ConstrainedReaching):
         return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
 
     def acceleration(self, path: Rollout) -> Tensor:
-        """That of the plant."""
+        """The acceleration term of the plant by steps `(*batch, T)`."""
         return ACCELERATION_WEIGHT * torch.linalg.vector_norm(path.plant.acceleration[..., 1:, :], dim=-1)

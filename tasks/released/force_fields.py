@@ -66,7 +66,7 @@ class ReleasedDivergentField(ReleasedArch, DivergentField):
         return torch.stack([-10 * (1 - s), torch.sin(2 * math.pi * (1 - s))], -1)
 
     def force(self) -> Force:
-        """The divergent field."""
+        """The force along the normal of the sine path."""
         return normal_field(self.nominal())
 
 
@@ -88,5 +88,5 @@ class ReleasedHalfPlaneForce(ReleasedArch, HalfPlaneForce):
     )
 
     def over_executions(self, value: Tensor) -> Tensor:
-        """Half of the second."""
+        """Half of what the disturbed execution costs."""
         return 0.5 * value[..., 1, :]

@@ -35,10 +35,10 @@ class ReleasedTwoStarts(Released, TwoStarts):
     )
 
     def over_starts(self, value: Tensor) -> Tensor:
-        """The mean."""
+        """The mean of a term over both starts."""
         return value.mean(-1)
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """Half the plant's acceleration from the right start."""
+        """The acceleration term by steps: half that of the plant from the right start."""
         squared = path.plant.acceleration[..., 1, 1:, :].square().sum(-1)
         return {"acceleration": 0.5 * ACCELERATION_WEIGHT * squared}

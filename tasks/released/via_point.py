@@ -44,5 +44,5 @@ class ReleasedViaPoint(Released, ViaPoint):
         return path.x if self.shape == "N" else path.reference
 
     def running_costs(self, path: Rollout) -> dict[str, Tensor]:
-        """The plant's acceleration."""
+        """The acceleration term, that of the plant, by steps."""
         return {"acceleration": ACCELERATION_WEIGHT * path.plant.acceleration[..., 1:, :].square().sum(-1)}

@@ -163,7 +163,7 @@ def test_policies_are_new_ones(task):
     ("options", "words"),
     [
         ({"condition": "lyapunov"}, "condition has to be 'seds' or 'p-qlf', got 'lyapunov'"),
-        ({"convention": "draft"}, "has the convention 'paper' or 'released', got 'draft'"),
+        ({"convention": "draft"}, "has to be 'paper' or 'released', got 'draft'"),
     ],
 )
 def test_wrong_options_are_refused(options, words):

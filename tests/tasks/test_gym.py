@@ -148,7 +148,7 @@ def test_the_ids_make_the_batch_too(env_of):
 
 def test_what_cannot_be_stepped_is_refused(env_of):
     task = env_of("ViaPointN").trials.task
-    with pytest.raises(InvalidArgumentError, match="at least one trial is needed, got 0"):
+    with pytest.raises(InvalidArgumentError, match="n has to be at least 1, got 0"):
         Trials(task, 0)
     with pytest.raises(InvalidArgumentError, match=r"actions have to be \(2, 2\), got shape \(1, 2\)"):
         Trials(task, 2).step(torch.zeros(1, 2))
@@ -162,7 +162,7 @@ def test_what_cannot_be_stepped_is_refused(env_of):
         def rollout(self, policy):
             raise NotImplementedError
 
-    with pytest.raises(InvalidArgumentError, match="cannot be made step by step"):
+    with pytest.raises(InvalidArgumentError, match=r"has to use `Task\.rollout`, got 'elsewhere'"):
         Trials(Elsewhere(), 1)
 
 

@@ -214,9 +214,7 @@ def test_the_released_problem_without_data_says_what_to_give():
 
 
 def test_an_unknown_convention_is_refused():
-    with pytest.raises(
-        InvalidArgumentError, match="'two_starts' has the convention 'paper' or 'released', got 'draft'"
-    ):
+    with pytest.raises(InvalidArgumentError, match="'two_starts' has to be 'paper' or 'released', got 'draft'"):
         tasks.make("two_starts", convention="draft")
 
 

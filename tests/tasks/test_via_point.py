@@ -95,7 +95,7 @@ def test_a_mixture_file_with_greek_names_is_read(tmp_path):
         (
             {"convention": "draft"},
             InvalidArgumentError,
-            "task 'via_point' has the convention 'paper' or 'released', got 'draft'",
+            "convention of task 'via_point' has to be 'paper' or 'released', got 'draft'",
         ),
         ({"convention": "released", "shape": "Q"}, InvalidArgumentError, "shape has to be 'N' or 'P', got 'Q'"),
         ({"shapes": "N"}, InvalidArgumentError, "has no option shapes; it has shape, demonstrations"),

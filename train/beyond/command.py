@@ -19,16 +19,13 @@ from torchds.recruiting import most_wanted, recruit
 from train.beyond.starts import one_start
 from train.folder import versions, write_json
 from train.learning.learner import Learner
-from train.options import RunOptions, options_for
+from train.options import LEARNERS, RunOptions, options_for
 from train.searchers.base import Closure
-from train.searchers.named import RECOMMENDED
 from train.statistics import differ, quartiles
 from train.tables import markdown
 
 Experiment = Literal["recruit", "noise", "starts"]
 LearnerName = Literal["pibb", "recommended"]
-LEARNER_OPTIONS: dict[LearnerName, dict[str, Any]] = {"pibb": {}, "recommended": RECOMMENDED}
-"""What the learners are: the paper's, and `--optimizer surrogate --exploration trajectory`."""
 
 SPLITS = ((10, 50, 1), (20, 25, 1), (10, 25, 2), (10, 10, 5))
 """Policies of an update, updates, and trials of each policy: 500 trials."""
@@ -159,7 +156,7 @@ class Beyond:
                 continue
             group = f"{own.get('shape', task)}, {learner}"
             two = task == "two_starts"
-            options = self.options(task, 100 if two else 50, **own, **LEARNER_OPTIONS[learner])
+            options = self.options(task, 100 if two else 50, **own, **LEARNERS[learner])
             way = Way(group, "3, frozen, as in the paper", options, 3, trajectories=1 + two)
             yield way
             yield way._replace(label="3, and 3 more after 1/8 of the updates", grow=(1 / 8,))
@@ -172,7 +169,7 @@ class Beyond:
             for learner in self.learners:
                 for n, updates, repeats in SPLITS:
                     label = f"{n} policies × {repeats} trials an update"
-                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **LEARNER_OPTIONS[learner])
+                    options = self.options("via_point", updates, rollouts=n, cost_noise=std, **LEARNERS[learner])
                     yield Way(
                         f"noise {std}, {learner}", label, options, wrap=partial(repeat, repeats), trajectories=repeats
                     )
@@ -184,11 +181,11 @@ class Beyond:
             yield Way(
                 group,
                 "both starts, as in the paper",
-                self.options("two_starts", 100, **LEARNER_OPTIONS[learner]),
+                self.options("two_starts", 100, **LEARNERS[learner]),
                 trajectories=2,
             )
             for n, updates in ((40, 100), (20, 200)):
-                options = self.options("two_starts", updates, rollouts=n, **LEARNER_OPTIONS[learner])
+                options = self.options("two_starts", updates, rollouts=n, **LEARNERS[learner])
                 yield Way(group, f"one start, {n} policies an update", options, wrap=one_each)
 
 

@@ -8,7 +8,7 @@ from tasks import Task
 from tasks.loading import is_spec
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
-from torchds.exploration import Exploration, Gaussian, Stable, TrajectorySpace
+from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable, TrajectorySpace
 from train.options import RunOptions
 from train.searchers.own import make_own
 
@@ -23,13 +23,15 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
     if is_spec(options.exploration):
         given = () if options.noise is None else (options.noise,)
         return make_own("exploration", options.exploration, Exploration, policy, *given)  # type: ignore[type-abstract]
-    search, numbers, learn = task.search, task.numbers, options.learn
-    std = numbers.std if options.noise is None else options.noise
+    search, learn = task.search, options.learn
+    std = search.std if options.noise is None else options.noise
     if options.exploration == "gaussian":
-        return Gaussian(std)
+        return Gaussian.relative(policy, *task.motion()) if std is None else Gaussian(std)
     goal = task.scene().goal
     if options.exploration == "stable":
-        return Stable(policy, Gaussian(std), goal, task.P, shrink=options.shrink)
+        raw = Gaussian.relative(policy, *task.motion(), goal=goal) if std is None else Gaussian(std)
+        return Stable(policy, raw, goal, task.P, shrink=options.shrink)
+    own_speed, mean_stiffness = sizes(task, policy)
     if along_motion(options):
         if learn != "both":
             raise InvalidArgumentError(f"--learn {learn} goes with --exploration homogeneous, not trajectory")
@@ -44,14 +46,23 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
                 *task.motion(),
                 spread=search.spread if options.noise is None else options.noise,
                 stiffness_spread=search.stiffness_spread,
-                mean_speed=numbers.mean_speed,
-                mean_stiffness=numbers.mean_stiffness,
+                mean_speed=own_speed,
+                mean_stiffness=mean_stiffness,
                 goal=tied,
             )
         return Stable(policy, along, goal, task.P, shrink=options.shrink) if stable else along
-    mean_speed = numbers.mean_speed if options.noise is None else options.noise
+    mean_speed = own_speed if options.noise is None else options.noise
     return search.homogeneous(
         policy,
         0.0 if learn == "stiffness" else mean_speed,
-        mean_stiffness=0.0 if learn == "motion" else numbers.mean_stiffness,
+        mean_stiffness=0.0 if learn == "motion" else mean_stiffness,
     )
+
+
+def sizes(task: Task, policy: GMRPolicy) -> tuple[float, float]:
+    """`mean_speed` and `mean_stiffness` of a task's homogeneous exploration; shares of its motion where it gives none."""
+    speed, stiffness = task.search.mean_speed, task.search.mean_stiffness
+    if speed is not None and stiffness is not None:
+        return speed, stiffness
+    shares = Homogeneous.relative(policy, *task.motion())
+    return shares.mean_speed if speed is None else speed, shares.mean_stiffness if stiffness is None else stiffness

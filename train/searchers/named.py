@@ -28,9 +28,6 @@ METHODS = {
 }
 """Searches over fixed coordinates; those that draw new noise in every update are in `SAMPLED`."""
 
-RECOMMENDED = {"optimizer": "surrogate", "exploration": "trajectory"}
-"""Options of the recommended learner."""
-
 Explore = Callable[[Task, GMRPolicy], Exploration]
 """Makes the exploration of `(runs,)` policies on a task."""
 

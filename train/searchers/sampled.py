@@ -111,7 +111,7 @@ def sampled_search(
         "n_rollouts": n_rollouts,
         "temperature": options.temperature or ("capped" if along else task.search.temperature),
         "elite": options.elite or ("nominal" if name == "surrogate" else task.search.elite),
-        "control_weight": task.numbers.control_weight,
+        "control_weight": task.search.control_weight,
         "generator": torch.Generator().manual_seed(options.seed),
     }
     optim: PolicySearch

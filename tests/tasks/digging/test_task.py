@@ -194,9 +194,9 @@ def test_bad_options_are_refused_before_anything_is_built():
     for options, message in (
         ({"initial_stiffness": 20.0}, r"within \[50, 700\] N/m, got 20"),
         ({"grains": "sand"}, "'fine' or 'coarse', got 'sand'"),
-        ({"seconds": 0.1}, "seconds > 0.5"),
-        ({"threads": 0}, "threads ≥ 1"),
-        ({"convention": "released"}, "has the convention 'paper'"),
+        ({"seconds": 0.1}, "seconds has to be above 0.5"),
+        ({"threads": 0}, "threads at least 1"),
+        ({"convention": "released"}, "has to be 'paper'"),
         ({"demonstrations": Demonstrations([torch.rand(9, 2)], dt=0.1)}, "three dimensions"),
     ):
         with pytest.raises(InvalidArgumentError, match=message):

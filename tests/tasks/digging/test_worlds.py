@@ -130,13 +130,13 @@ def test_a_missing_package_is_named_with_the_extra(package, monkeypatch):
 
 
 def test_settings_without_a_bed_are_refused():
-    with pytest.raises(InvalidArgumentError, match="a bed needs grains"):
+    with pytest.raises(InvalidArgumentError, match="a bed has to have grains"):
         gravel.Gravel(radius=(0.02, 0.01))
     with pytest.raises(InvalidArgumentError, match="have to be positive"):
         gravel.Gravel(density=0.0)
     with pytest.raises(gravel.SettlingError, match="still moves"):
         gravel.settle(gravel.Gravel(n_grains=20, seconds=0.02))
-    with pytest.raises(InvalidArgumentError, match="one seed for each"):
+    with pytest.raises(InvalidArgumentError, match="seeds have to be 2, one for each roll-out, got 1"):
         Worlds(COARSE, 2).reset(torch.zeros(7, dtype=torch.float64), [1])
 
 

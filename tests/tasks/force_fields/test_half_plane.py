@@ -140,7 +140,7 @@ def test_the_settings_are_those_of_the_paper_and_of_the_released_program():
     ("options", "message"),
     [
         ({"stiffness": "full"}, "stiffness has to be 'diagonal' or 'isotropic', got 'full'"),
-        ({"convention": "draft"}, "task 'half_plane_force' has the convention 'paper' or 'released', got 'draft'"),
+        ({"convention": "draft"}, "convention of task 'half_plane_force' has to be 'paper' or 'released', got 'draft'"),
     ],
 )
 def test_unknown_kinds_are_refused(options, message):

@@ -56,6 +56,7 @@ def train(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_a_task_from_elsewhere_is_learned_killed_resumed_compared_and_drawn(train, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     file = tmp_path / "elsewhere" / "my_file.py"
@@ -102,6 +103,7 @@ def test_a_task_from_elsewhere_is_learned_killed_resumed_compared_and_drawn(trai
     assert f"no file {file}" in train("via_point", "--resume", folder, code=2)
 
 
+@pytest.mark.slow
 def test_its_options_are_explained_and_mistakes_are_named(train, tmp_path):
     (tmp_path / "my_file.py").write_text(CIRCLE)
     text = " ".join(train("my_file.py:RoundTheHouse", "--help").replace("│", " ").split())

@@ -3,7 +3,9 @@
 import pytest
 import torch
 
+from tasks import SearchSettings
 from tests.motions import Short
+from torchds import Demonstrations, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Gaussian, Homogeneous, TrajectorySpace
 from train.options import options_for
@@ -41,3 +43,41 @@ def test_stiffness_or_motion_alone_is_perturbed_where_that_is_asked():
         assert [name for name in ("A", "stiffness_A") if not std[name].any()] == [still]
     with pytest.raises(InvalidArgumentError, match="--learn motion goes with --exploration homogeneous"):
         make_exploration(options_for("divergent_field", learn="motion", exploration="trajectory"), task, policy)
+
+
+class Unsized(Short):
+    """A letter that gives no sizes of noise."""
+
+    search = SearchSettings()
+
+
+class Tenfold(Unsized):
+    """The same, a tenth as large: in other units."""
+
+    def default_demonstrations(self):
+        own = super().default_demonstrations()
+        return Demonstrations([d.x / 10 for d in own], [d.v / 10 for d in own], own.dt)
+
+    def motion(self):
+        motion = super().motion()
+        return motion._replace(x0=motion.x0 / 10)
+
+
+@pytest.mark.parametrize("name", ["homogeneous", "gaussian", "stable"])
+def test_noise_of_a_task_without_sizes_is_a_share_of_its_motion_in_any_unit(name):
+    """The same normals make velocities twelve per cent as fast as the motion, whatever it is measured in."""
+    shares = []
+    for task in (Unsized(), Tenfold()):
+        policy, motion = task.policy(), task.motion()
+        exploration = make_exploration(options_for("via_point", exploration=name), task, policy)
+        exploration = exploration.raw if name == "stable" else exploration  # the goal is the origin
+        generator = torch.Generator().manual_seed(0)
+        parameters = list(policy.parameters())
+        A, b = exploration(parameters, [torch.randn(500, *p.shape, generator=generator).to(p) for p in parameters])
+        path = rollout(policy, *motion)
+        x = path.inputs.detach()
+        h = policy.gating(x).detach()
+        noise = torch.einsum("tk,nkod,td->nto", h, A, x) + torch.einsum("tk,nko->nto", h, b)
+        shares.append(float(noise.norm(dim=-1).mean() / path.v.detach().norm(dim=-1).mean()))
+    assert shares[0] == pytest.approx(shares[1], rel=0.02)
+    assert 0.04 < shares[0] < 0.2

@@ -19,14 +19,11 @@ from torchds import GMRPolicy
 from train.folder import OPTIONS, RESULTS, RunFolder, versions, write_json
 from train.learning.learner import Learner
 from train.learning.run import run
-from train.options import RunOptions, options_for
+from train.options import LEARNERS, RunOptions, options_for
 
 STARTS = (150.0, 400.0)  # N/m
 PAPER = "as in the paper"  # the learner that the claims are about
-SEARCHES: dict[str, dict[str, Any]] = {
-    PAPER: {"optimizer": "pibb", "exploration": "homogeneous"},
-    "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
-}
+SEARCHES: dict[str, dict[str, Any]] = {PAPER: LEARNERS["pibb"], "recommended": LEARNERS["recommended"]}
 UNIFORM = (75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
 TRIALS = 5
 TRIALS_FILE = "trials.json"
