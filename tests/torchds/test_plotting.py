@@ -1,5 +1,8 @@
 """What is drawn, read back from the axes."""
 
+import importlib
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +11,7 @@ from matplotlib.figure import Figure
 
 from tests.motions import two
 from torchds import plotting
+from torchds.errors import MissingPackageError
 
 
 @pytest.fixture
@@ -100,3 +104,10 @@ def test_learning_curves_are_medians_between_quartiles(axes):
 def test_a_negative_cost_needs_a_linear_scale(axes):
     plotting.learning_curves(axes, [0, 1], {"total": [[1.0, 2.0], [-1.0, 2.0]]})
     assert axes.get_yscale() == "linear"
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    monkeypatch.delitem(sys.modules, "torchds.plotting")
+    monkeypatch.setitem(sys.modules, "matplotlib.axes", None)
+    with pytest.raises(MissingPackageError, match=r"'matplotlib'.*pip install 'torchds\[plot\]'"):
+        importlib.import_module("torchds.plotting")
