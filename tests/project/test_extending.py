@@ -1,6 +1,9 @@
 """Every example of docs/extending.md is short, keeps what its kind promises, and takes part in learning."""
 
+import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,7 +56,7 @@ def pibb(policy, **options):
 
 def test_there_is_an_example_of_each_kind_under_thirty_lines():
     titles = [title for title, _ in SECTIONS]
-    kinds = ["policy", "exploration", "optimizer", "plant", "stop condition", "cost term"]
+    kinds = ["policy", "exploration", "optimizer", "plant", "stop condition", "cost term", "task"]
     assert [title.split(" ", 1)[1] for title in titles] == kinds
     for title, block in SECTIONS:
         assert len(block.splitlines()) < 30, title
@@ -106,3 +109,41 @@ def test_the_cost_term_is_learned(page, policy):
         testing.check_cost(page["turning"], torchds.rollout(many, START, 10, 0.1))
     before, after = learn(policy, pibb(policy), cost=page["turning"])
     assert after < 0.3 * before
+
+
+def test_the_task_is_learned(page):
+    task = page["Detour"](height=0.3)
+    with torch.no_grad():
+        testing.check_cost(task.cost, task.rollout(task.policy().expand(3)))
+        before = float(task.cost(task.rollout(task.policy())))
+    policy = task.policy()
+    noise = torchds.exploration.TrajectorySpace.relative(policy, *task.motion())
+    optim = torchds.optim.SurrogatePIBB(
+        policy.parameters(),
+        noise,
+        control_weight=task.numbers.control_weight,
+        generator=torch.Generator().manual_seed(0),
+    )
+    for _ in range(15):
+        optim.step(lambda: task.cost(task.rollout(policy)))
+    with torch.no_grad():
+        assert float(task.cost(task.rollout(policy))) < 0.1 * before
+
+
+@pytest.mark.slow
+def test_the_task_is_a_command_with_its_own_options(tmp_path):
+    (tmp_path / "my_file.py").write_text(dict(SECTIONS)["A task"])
+    task, logs = f"{tmp_path / 'my_file.py'}:Detour", str(tmp_path / "logs")
+    command = [
+        sys.executable,
+        "-m",
+        "train",
+        task,
+        *["--height", "0.3", "--runs", "2", "--updates", "1", "--logdir"],
+        logs,
+    ]
+    subprocess.run(command, check=True, cwd=PAGE.parents[1], capture_output=True)
+    (found,) = (tmp_path / "logs" / "detour").rglob("results.json")
+    results = json.loads(found.read_text())
+    assert set(results["terms"]) == {"beside", "goal", "control"}
+    assert results["cost"][0] == pytest.approx([0.3**2] * 2, rel=1e-3)  # the imitated motion is a straight line
