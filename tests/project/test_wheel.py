@@ -59,6 +59,18 @@ for info in pkgutil.walk_packages(torchds.__path__, "torchds."):
         assert hidden, info.name
 """
 
+CHECKOUT = f"""
+import importlib, pathlib, torchds
+sys.path.append({str(ROOT)!r})
+for package in ("tasks", "train"):
+    for path in sorted(pathlib.Path(sys.path[-1], package).rglob("*.py")):
+        name = ".".join(path.relative_to(sys.path[-1]).with_suffix("").parts).removesuffix(".__init__")
+        try:
+            importlib.import_module(name)
+        except torchds.errors.MissingPackageError as error:
+            print(name, error)
+"""
+
 
 def brought(needs):
     """The packages that requirements bring, with all that these need in turn."""
@@ -139,6 +151,20 @@ def test_what_needs_an_extra_works_with_it_alone_and_names_it_where_it_is_missin
         f"import torch, torchds\ntry: {NEEDS[extra]}\nexcept torchds.errors.MissingPackageError as error: print(error)"
     )
     assert f"pip install 'torchds[{extra}]'" in run(python, missing, all_but())
+
+
+@pytest.mark.parametrize("extras", [(), ("train",)], ids=["none", "train"])
+def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(python, extras):
+    lines = run(python, CHECKOUT, all_but(*extras)).splitlines()
+    named = {line.split()[0]: re.search(r"torchds\[(\w+)\]", line)[1] for line in lines}
+    sources = (ROOT / "tasks" / "digging").glob("*.py")
+    digging = {f"tasks.digging.{path.stem}".removesuffix(".__init__"): "digging" for path in sources}
+    if extras:  # every command can be chosen; what it needs beside is asked for when it runs
+        later = {"train.hardware.session": "digging", "train.deep_rl.agents": "baselines"}
+    else:
+        later = {name: "train" for name in named if name.split(".")[0] == "train"}
+        assert "train.__main__" in later
+    assert named == {**digging, "tasks.gym": "baselines", **later}
 
 
 def test_the_first_example_of_the_readme_needs_the_extra_lasa_alone(python):
