@@ -1,4 +1,4 @@
-"""Files stay small, and a folder can be seen at a glance."""
+"""Files stay small, a folder can be seen at a glance, and each module of the library has a test that mirrors its place."""
 
 from pathlib import Path
 
@@ -20,3 +20,9 @@ def test_no_file_is_long(package, most):
 def test_the_commands_can_be_seen_at_a_glance():
     entries = {p.name for p in (ROOT / "train").iterdir()} - {"__pycache__"}
     assert len(entries) <= 16, entries
+
+
+def test_every_module_of_the_library_has_its_test():
+    modules = [p.relative_to(ROOT / "torchds") for p in (ROOT / "torchds").rglob("*.py") if p.name != "__init__.py"]
+    tests = [ROOT / "tests" / "torchds" / module.parent / f"test_{module.name}" for module in modules]
+    assert not [str(test.relative_to(ROOT)) for test in tests if not test.is_file()]

@@ -1,5 +1,7 @@
 """Noise that is homogeneous along the whole motion (beyond section 4.1).
 
+Letters: `P` parameters of a policy, flattened; `T` steps of the motion; `D` inputs, `O` velocity outputs.
+
 Stability: stable.
 """
 
@@ -103,7 +105,7 @@ class TrajectorySpace(Exploration):
                 f"spread has to be finite and positive, one number or ({policy.output_dim},), got {spread}"
             )
         if not damping >= 0 or refresh < 1:
-            raise InvalidArgumentError(f"damping ≥ 0 and refresh ≥ 1 are needed, got {damping} and {refresh}")
+            raise InvalidArgumentError(f"damping has to be ≥ 0 and refresh at least 1, got {damping} and {refresh}")
         if goal is not None and goal.shape != (policy.input_dim,):
             raise InvalidArgumentError(f"goal has to be ({policy.input_dim},), got {tuple(goal.shape)}")
         self.policy, self.goal = policy, goal
@@ -112,8 +114,8 @@ class TrajectorySpace(Exploration):
         self.refresh = refresh
         if policy.stiffness_dim and not ((stiffness_spread or 0) > 0 and mean_stiffness > 0):
             raise InvalidArgumentError(
-                "a policy with stiffness rows needs stiffness_spread > 0 and mean_stiffness > 0, got "
-                f"{stiffness_spread} and {mean_stiffness}"
+                "stiffness_spread and mean_stiffness have to be positive for a policy with stiffness rows, got "
+                f"{stiffness_spread} and {mean_stiffness}; TrajectorySpace.relative chooses both"
             )
         self.stiffness_spread = stiffness_spread or 1.0
         self._homogeneous = Homogeneous(policy, mean_speed, mean_stiffness=mean_stiffness)
@@ -147,6 +149,9 @@ class TrajectorySpace(Exploration):
             stiffness: `mean_stiffness` and `stiffness_spread` as a share of the mean stiffness.
             goal: `(D,)` x*, to which b stays tied; None for free offsets.
 
+        Returns:
+            Noise whose sizes are numbers from now on: they do not follow the policy as it changes.
+
         Raises:
             InvalidArgumentError: what `TrajectorySpace` refuses; also a policy that does not move.
         """
@@ -157,7 +162,11 @@ class TrajectorySpace(Exploration):
         return cls(policy, x0, n_steps, dt, spread * size.extent, **sizes, goal=goal)
 
     def check(self, parameters: Sequence[nn.Parameter]) -> None:
-        """Refuse a part of the policy's parameters, and those of others."""
+        """Refuse a part of the policy's parameters, and those of others.
+
+        Raises:
+            InvalidArgumentError: which are missing, or not the policy's.
+        """
         names = name_parameters(self.policy, parameters, type(self).__name__)
         if missing := {name for name, _ in self.policy.named_parameters()} - set(names):
             raise InvalidArgumentError(
@@ -172,7 +181,7 @@ class TrajectorySpace(Exploration):
         return self._factor
 
     def refresh_now(self) -> Tensor:
-        """Evaluate the covariance at the present parameters, due or not, and return its root."""
+        """Evaluate the covariance at the present parameters, due or not, and return its root L `(*batch, P, P)`."""
         self._factor, self._age = self._evaluate(), 0
         return self._factor
 
@@ -227,14 +236,22 @@ class TrajectorySpace(Exploration):
         return tie * policy.join(std).unsqueeze(-2)
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
-        """L z, cut into the parameters."""
+        """L z, cut into the parameters: for normals `(N, *p.shape)` of each parameter p, noise of the same shapes."""
         noise = self._through(self.factor, parameters, normals)
         self._age += 1
         return noise
 
     @torch.no_grad()
     def measure(self, parameters: Sequence[nn.Parameter], changes: Sequence[Tensor]) -> list[Tensor]:
-        """(JᵀJ/(T spread²))^{1/2} δθ: the length of it is how far the motion moves to first order, in units of `spread`."""
+        """(JᵀJ/(T spread²))^{1/2} δθ: the length of it is how far the motion moves to first order, in units of `spread`.
+
+        Args:
+            parameters: all of the policy's.
+            changes: δθ, `(*lead, *p.shape)` for each parameter p.
+
+        Returns:
+            Of the shapes of `changes`. Where J is not finite, the changes themselves.
+        """
         if self._felt is None:
             self.refresh_now()
         felt = cast(Tensor, self._felt)

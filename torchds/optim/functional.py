@@ -1,4 +1,6 @@
-"""The mathematics of the updates, as pure functions.
+"""The mathematics of the updates, as pure functions: those of Algorithm 1, of PI², and beyond.
+
+Letters: `N` roll-outs, `*batch` policies, `T` steps, `O` outputs, `F` features; S and q are costs, in the unit of the task.
 
 Stability: stable.
 """
@@ -20,7 +22,7 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
 
     Args:
         costs: `(N, ...)` S. NaN and infinity mark failed roll-outs: weight zero, and they do not count otherwise.
-        eliteness: h = 10 of the paper; λ is a spread of the costs over h.
+        eliteness: h > 0, 10 in the paper; λ is a spread of the costs over h, so that the unit of S does not matter.
         temperature: the spread.
 
             * "range": max − min, the paper.
@@ -39,7 +41,14 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
 
 
 def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
-    """(S − min S)/spread `(N, ...)` of costs `(N, ...)`, infinite for failed roll-outs; see `cost_weights`.
+    """(S − min S)/spread, in which the unit of the costs cancels; times −h it is the exponent of `cost_weights`.
+
+    Args:
+        costs: `(N, ...)` S, failed roll-outs not finite.
+        temperature: the spread, as for `cost_weights`.
+
+    Returns:
+        `(N, ...)`, zero for the best and infinite for failed roll-outs.
 
     Raises:
         InvalidArgumentError: an unknown temperature.
@@ -64,7 +73,8 @@ def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float
 
     .. math:: \hat S(z) = k(z, Z) (k(Z, Z) + noise\, I)^{-1} S, \qquad k(z, z') = \exp(-|z - z'|^2 / (2 ℓ^2)),
 
-    with ℓ² the median squared distance between the policies tried, so that the unit of the coordinates does not matter.
+    with ℓ² the median squared distance between the policies tried, so that the unit of the coordinates does not matter
+    (Eq. 2.23 of Rasmussen and Williams, Gaussian Processes for Machine Learning).
     S are the relative costs under the capped temperature, minus their mean; failed roll-outs are as bad as the cap.
 
     Args:
@@ -89,11 +99,14 @@ def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float
 
 
 def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
-    """S_t = Σ_{j ≥ t} q_j + ½ Σ_{j > t} Υ_j `(..., T)`, infinite throughout a roll-out that failed anywhere.
+    """S_t = Σ_{j ≥ t} q_j + ½ Σ_{j > t} Υ_j: what a roll-out still costs from step t on, as PI² weighs it.
 
     Args:
-        costs: `(..., T)` costs per step, the terminal cost in the last.
-        upsilon: `(..., T)` Υ per step.
+        costs: `(..., T)` q, costs per step, the terminal cost in the last.
+        upsilon: `(..., T)` Υ per step, from `torchds.costs.control_cost`; the step itself does not count.
+
+    Returns:
+        `(..., T)`, infinite throughout a roll-out that failed anywhere.
     """
     remaining = (costs + 0.5 * upsilon).flip(-1).cumsum(-1).flip(-1) - 0.5 * upsilon
     return torch.where(remaining[..., :1].isfinite(), remaining, torch.inf)
@@ -102,17 +115,20 @@ def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
 def time_averaged_update(
     weights: Tensor, noise: Tensor, features: Tensor, gating: Tensor | None, projected: bool = True
 ) -> Tensor:
-    """δθ `(*batch, O, F)` in rows: the updates of all steps, averaged with the weights T − t (times the gating).
+    """δθ in rows: the updates Σ_i P_i M ε_i of all steps, averaged with the weights T − t (times the gating), as PI² does.
 
     With R = r I, M ε of an output row is g (g·ε)/|g|², so nothing larger than `(N, *batch, T, F)` is built.
 
     Args:
-        weights: `(N, *batch, T)` P.
+        weights: `(N, *batch, T)` P, from `cost_weights` of the costs to go.
         noise: `(N, *batch, O, F)` ε in rows.
         features: `(N, *batch, T, F)` g; zero where a step does not count.
         gating: `(N, *batch, T, F)` activation of each feature's component, of which the mean over N counts; None for
             the time alone.
         projected: False averages ε in place of M ε.
+
+    Returns:
+        `(*batch, O, F)`, one row per output.
     """
     T = features.shape[-2]
     late = torch.arange(T, 0, -1, dtype=features.dtype, device=features.device).unsqueeze(-1)  # T − t, (T, 1)

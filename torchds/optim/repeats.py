@@ -25,10 +25,11 @@ def repeated(closure: Closure, parameters: Iterable[nn.Parameter], repeats: int)
         closure: one trial of the parameters as they stand, `(*batch)`, with noise of its own in every entry; it is called
             while all parameters carry R in front.
         parameters: those of the optimizer.
-        repeats: R.
+        repeats: R, at least 1.
 
     Returns:
-        The closure. The control cost is that of the first repeat: it depends on the reference, which noise leaves alone.
+        A closure of costs `(*batch)`, means over the R trials; parameters come back as they were, also after an error. The
+        control cost is that of the first repeat: it depends on the reference, which noise leaves alone.
 
     Raises:
         InvalidArgumentError: fewer than one repeat.

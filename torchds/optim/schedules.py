@@ -1,5 +1,7 @@
 """Exploration decays: picklable callables for `torch.optim.lr_scheduler.LambdaLR`.
 
+Each maps the number of updates that are done, from 0, to a factor on `lr`, the standard deviation of the noise.
+
 Stability: stable.
 """
 
@@ -67,6 +69,8 @@ class LinearDecay:
 @dataclass
 class ExponentialDecay:
     """lr factor floor^(epoch/N): falls evenly on a logarithmic scale to `floor` after N updates, and stays there.
+
+    Not the paper's: what the recommended learner uses (docs/recommended.md).
 
     Args:
         n_updates: N.

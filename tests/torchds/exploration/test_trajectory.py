@@ -420,9 +420,9 @@ def test_the_scale_of_the_normals_scales_the_noise():
         ({"spread": float("inf")}, "spread has to be finite and positive, one number or (2,), got inf"),
         ({"widening": -1.0}, "widening has to be finite and positive, got -1.0"),
         ({"mean_speed": float("nan")}, "mean_speed has to be finite and positive, got nan"),
-        ({"damping": -1e-3}, "damping ≥ 0 and refresh ≥ 1 are needed, got -0.001 and 1"),
-        ({"damping": float("nan")}, "damping ≥ 0 and refresh ≥ 1 are needed, got nan and 1"),
-        ({"refresh": 0}, "damping ≥ 0 and refresh ≥ 1 are needed, got 0.01 and 0"),
+        ({"damping": -1e-3}, "damping has to be ≥ 0 and refresh at least 1, got -0.001 and 1"),
+        ({"damping": float("nan")}, "damping has to be ≥ 0 and refresh at least 1, got nan and 1"),
+        ({"refresh": 0}, "damping has to be ≥ 0 and refresh at least 1, got 0.01 and 0"),
     ],
 )
 def test_options_out_of_range_are_refused(options, message):
@@ -441,7 +441,7 @@ def test_options_out_of_range_are_refused(options, message):
     ],
 )
 def test_a_policy_with_stiffness_needs_both_sizes_of_it(options, received):
-    message = f"needs stiffness_spread > 0 and mean_stiffness > 0, got {received}"
+    message = f"have to be positive for a policy with stiffness rows, got {received}"
     with pytest.raises(InvalidArgumentError, match=message):
         make(make_policy(Q=1), **options)
 
