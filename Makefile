@@ -19,7 +19,7 @@ test: lint
 coverage: lint
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
 
-# The property tests of tests/faults with many cases and fresh seeds; prints the table of docs/reliability.md.
+# The property tests of tests/faults with many cases and fresh seeds; prints a table of cases and failures.
 CASES ?= 2500
 fuzz: $(VENV)/.ready
 	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
