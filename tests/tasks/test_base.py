@@ -3,7 +3,6 @@ import torch
 
 import tasks
 from torchds import Demonstrations, GaussianMixture, costs
-from torchds.errors import InvalidArgumentError
 
 
 def curve(size, h, D=2):
@@ -65,25 +64,3 @@ def test_a_mixture_and_demonstrations_are_read_from_paths(tmp_path):
     own.mixture.save(tmp_path / "mixture.npz")
     given = Bend(mixture=str(tmp_path / "mixture.npz"))
     assert isinstance(given.mixture, GaussianMixture) and torch.equal(given.mixture.means, own.mixture.means)
-
-
-def test_a_name_belongs_to_one_class(monkeypatch):
-    monkeypatch.setattr(tasks.registry, "TASKS", dict(tasks.TASKS))
-    assert tasks.register(Bend) is Bend and tasks.register(Bend) is Bend
-    assert isinstance(tasks.make("bend", size=2.0), Bend)
-
-    class Other(Bend):
-        name = "via_point"
-
-    with pytest.raises(
-        InvalidArgumentError, match=r"the name 'via_point' of .*Other belongs to tasks.via_point.ViaPoint"
-    ):
-        tasks.register(Other)
-
-    class Half(tasks.Task):
-        pass
-
-    with pytest.raises(
-        InvalidArgumentError, match="Half is not complete: it has to define cost_terms, default_demonstrations"
-    ):
-        tasks.register(Half)

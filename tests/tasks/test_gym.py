@@ -10,8 +10,7 @@ from stable_baselines3.common import env_checker
 
 import tasks.gym
 from tasks import ENVIRONMENTS
-from tasks.trials import Trials
-from torchds.errors import InvalidArgumentError, MissingPackageError
+from torchds.errors import MissingPackageError
 
 EVERY = pytest.mark.parametrize("name", ENVIRONMENTS)
 
@@ -144,26 +143,6 @@ def test_the_ids_make_the_batch_too(env_of):
     env = gymnasium.make_vec("torchds/ViaPointP-v0", num_envs=2, vectorization_mode="vector_entry_point")
     assert isinstance(env.unwrapped, tasks.gym.TaskVectorEnv)
     assert env.observation_space.shape == (2, *env_of("ViaPointP").observation_space.shape)
-
-
-def test_what_cannot_be_stepped_is_refused(env_of):
-    task = env_of("ViaPointN").trials.task
-    with pytest.raises(InvalidArgumentError, match="n has to be at least 1, got 0"):
-        Trials(task, 0)
-    with pytest.raises(InvalidArgumentError, match=r"actions have to be \(2, 2\), got shape \(1, 2\)"):
-        Trials(task, 2).step(torch.zeros(1, 2))
-    env_of("ViaPointN").reset()
-    for _ in range(200):
-        env_of("ViaPointN").step(np.zeros(2))
-    with pytest.raises(InvalidArgumentError, match=r"all 200 steps are made; call reset\(\)"):
-        env_of("ViaPointN").step(np.zeros(2))
-
-    class Elsewhere(tasks.ViaPoint):
-        def rollout(self, policy):
-            raise NotImplementedError
-
-    with pytest.raises(InvalidArgumentError, match=r"has to use `Task\.rollout`, got 'elsewhere'"):
-        Trials(Elsewhere(), 1)
 
 
 def test_without_gymnasium_the_extra_is_named(monkeypatch):

@@ -115,3 +115,15 @@ def test_what_is_out_of_reach_is_refused():
     far = torch.tensor(1.5, dtype=torch.float64)
     with pytest.raises(InvalidArgumentError, match="does not reach"):
         lwr.posture(far, far, far)
+
+
+def test_reach_is_where_a_posture_is():
+    x, z = torch.meshgrid(torch.linspace(0.2, 1.4, 9), torch.linspace(-0.2, 1.2, 9), indexing="ij")
+    angle = torch.zeros_like(x)
+    reached = lwr.reaches(x, z, angle)
+    assert 10 < reached.sum() < 70
+    lwr.posture(x[reached], z[reached], angle[reached])
+    for i in torch.nonzero(~reached):
+        with pytest.raises(InvalidArgumentError, match="does not reach"):
+            lwr.posture(x[tuple(i)], z[tuple(i)], angle[tuple(i)])
+    assert not lwr.reaches(torch.tensor(float("nan")), torch.tensor(0.2), torch.tensor(0.0))

@@ -9,8 +9,7 @@ import torch
 
 import tasks
 from tasks.released.exploration import ReleasedHomogeneous
-from torchds import Demonstrations
-from torchds.errors import InvalidArgumentError
+from tests.force_fields import synthetic
 from torchds.exploration import Homogeneous
 from train.learning.learner import Learner
 from train.options import options_for
@@ -45,18 +44,6 @@ def normal(q):
     tangent = path[min(i, 98) + 1] - path[min(i, 98)]
     across = np.array([-tangent[1], tangent[0]]) / np.hypot(*tangent)
     return 10 * np.linalg.norm(q - path[i]) * np.sign(across @ (q - path[i])) * across
-
-
-@functools.cache
-def synthetic():
-    """Three imperfect motions along the released program's path, slowing down at its end."""
-    motions = []
-    for i in range(3):
-        s = 1 - (1 - np.linspace(0, 1, 110)) ** 1.4
-        x = np.stack([-10 * (1 - s), np.sin(2 * np.pi * (1 - s))], -1)
-        bump = np.stack([0.2 * (1 - s), 0.3 * np.sin(np.pi * s)], -1)
-        motions.append(x + (i - 0.7) * bump)
-    return Demonstrations(motions, dt=0.1)
 
 
 @functools.cache
@@ -161,24 +148,6 @@ def test_the_settings_are_those_of_the_paper_and_of_the_released_program():
     assert make("released").policy().n_components == 3
 
 
-def test_the_released_problem_without_data_says_what_to_give():
-    task = tasks.make("divergent_field", convention="released")
-    with pytest.raises(InvalidArgumentError, match=r"no demonstrations.*give demonstrations=PATH or mixture=PATH"):
-        task.policy()
-
-
-@pytest.mark.slow
-def test_stiffness_in_a_given_mixture_gives_way_to_the_initial_one():
-    """Also where a constant column has made a mixture that is nearly singular."""
-    mixture = make("released").mixture
-    means = torch.cat([mixture.means, torch.full((3, 2), 33.0, dtype=torch.float64)], -1)
-    covariances = torch.stack([torch.block_diag(c, 1e-9 * torch.eye(2).double()) for c in mixture.covariances])
-    joint = type(mixture)(mixture.priors, means, covariances)
-    given = tasks.make("divergent_field", convention="released", mixture=joint, initial_stiffness=7.0)
-    plain = make("released", initial_stiffness=7.0)
-    torch.testing.assert_close(given.policy().pack(), plain.policy().pack(), rtol=1e-9, atol=1e-12)
-
-
 # ------------------------------------------------------------------ what is learned
 
 RUNS = 20
@@ -219,15 +188,3 @@ def test_motion_and_stiffness_together_are_better_than_either_alone(alone):
 def test_the_recommended_learner_needs_400_rollouts_for_what_takes_the_paper_1000():
     recommended = {"exploration": "trajectory", "optimizer": "surrogate"}
     assert np.median(final(40, **recommended)) <= np.median(final())
-
-
-def test_a_start_that_diverges_is_learned_from():
-    """1 N/m cannot hold the mass in a field of 10 N/m."""
-    options = options_for("divergent_field", runs=RUNS, updates=50, convention="released", initial_stiffness=1.0)
-    learner = Learner(options, make("released", initial_stiffness=1.0)).learn()
-    costs = np.array(learner.history.cost)
-    assert costs[0].min() > 1e10
-    assert np.isfinite(costs).all()
-    assert all(p.isfinite().all() for p in learner.policy.parameters())
-    assert np.median(costs[-1]) < 3
-    assert costs[-1].max() < 100

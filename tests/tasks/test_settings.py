@@ -1,0 +1,43 @@
+"""What a task says about itself holds together, and the numbers of the paper are the paper's."""
+
+from dataclasses import FrozenInstanceError
+
+import pytest
+import torch
+
+import tasks
+from tasks.settings import PAPER_SEARCH, Motion, Scene, SearchSettings
+from torchds import rollout
+from torchds.exploration import Homogeneous
+
+
+def test_a_motion_is_what_a_roll_out_takes():
+    task = tasks.make("via_point")
+    motion = task.motion()
+    assert isinstance(motion, Motion) and motion._fields == ("x0", "n_steps", "dt")
+    assert rollout(task.policy(), *motion).x.shape == (motion.n_steps + 1, 2)
+
+
+def test_the_search_of_the_paper_is_that_of_section_33():
+    search = PAPER_SEARCH
+    assert (search.n_updates, search.n_rollouts, search.control_weight, search.mean_speed) == (50, 10, 5e-4, 0.1)
+    assert (search.homogeneous, search.temperature, search.decay, search.elite) == (
+        Homogeneous,
+        "range",
+        "inverse",
+        "none",
+    )
+
+
+def test_a_search_without_numbers_leaves_all_sizes_to_the_motion():
+    search = SearchSettings()
+    assert (search.mean_speed, search.std, search.spread, search.mean_stiffness, search.stiffness_spread) == (None,) * 5
+    assert search.control_weight == 0
+    with pytest.raises(FrozenInstanceError):
+        search.std = 1.0
+
+
+def test_a_scene_has_no_via_points_walls_or_unit_unless_given():
+    scene = Scene(torch.zeros(1, 2), torch.ones(2))
+    assert (scene.via_points, scene.walls, scene.unit) == ({}, None, "")
+    assert Scene(torch.zeros(1, 2), torch.ones(2)).via_points is not scene.via_points
