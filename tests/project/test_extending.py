@@ -131,19 +131,25 @@ def test_the_task_is_learned(page):
 
 
 @pytest.mark.slow
-def test_the_task_is_a_command_with_its_own_options(tmp_path):
-    (tmp_path / "my_file.py").write_text(dict(SECTIONS)["A task"])
-    task, logs = f"{tmp_path / 'my_file.py'}:Detour", str(tmp_path / "logs")
-    command = [
-        sys.executable,
-        "-m",
-        "train",
-        task,
-        *["--height", "0.3", "--runs", "2", "--updates", "1", "--logdir"],
-        logs,
+def test_the_command_learns_the_task_with_its_own_options_and_the_optimizer(tmp_path):
+    examples, file = dict(SECTIONS), tmp_path / "my_file.py"
+    file.write_text(examples["A task"] + examples["An optimizer"])
+    options = [
+        "--height",
+        "0.3",
+        "--runs",
+        "2",
+        "--updates",
+        "1",
+        "--optimizer",
+        f"{file}:Winner",
+        "--logdir",
+        str(tmp_path),
     ]
+    command = [sys.executable, "-m", "train", f"{file}:Detour", *options]
     subprocess.run(command, check=True, cwd=PAGE.parents[1], capture_output=True)
-    (found,) = (tmp_path / "logs" / "detour").rglob("results.json")
+    (found,) = (tmp_path / "detour" / "Winner").rglob("results.json")
     results = json.loads(found.read_text())
     assert set(results["terms"]) == {"above", "goal", "control"}
     assert results["cost"][0] == pytest.approx([0.3**2 / 2] * 2, rel=0.01)  # the imitated motion is the diagonal
+    assert results["cost"][1] != results["cost"][0]
