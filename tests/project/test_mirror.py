@@ -9,11 +9,14 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.parametrize("package", ["torchds", "tasks"])
 def test_every_module_has_its_test(package):
-    """At the same path under tests/; the modules of a small package may share the test of the package."""
-    missing = []
-    for module in sorted((ROOT / package).rglob("*.py")):
-        place = module.relative_to(ROOT)
-        tests = [place.with_name(f"test_{place.name}"), place.parent.with_name(f"test_{place.parent.name}.py")]
-        if not module.name.startswith("__") and not any((ROOT / "tests" / test).is_file() for test in tests):
-            missing.append(str(place))
-    assert not missing
+    modules = [path.relative_to(ROOT) for path in (ROOT / package).rglob("*.py") if path.name != "__init__.py"]
+    tests = [Path("tests", module.parent, f"test_{module.name}") for module in modules]
+    assert not [str(test) for test in tests if not (ROOT / test).is_file()]
+
+
+def test_commands_are_tested_by_half_as_many_lines_as_they_have():
+    code, tests = (
+        sum(len(path.read_text().splitlines()) for path in folder.rglob("*.py"))
+        for folder in (ROOT / "train", ROOT / "tests" / "train")
+    )
+    assert tests >= 0.5 * code
