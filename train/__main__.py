@@ -5,8 +5,10 @@ A task of yours is named by the place where its class stands: FILE.py:NAME or MO
 
 from __future__ import annotations
 
+import io
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import threadpoolctl
@@ -16,6 +18,7 @@ import tyro
 import tasks
 from tasks.loading import is_spec
 from torchds.errors import TorchdsError
+from torchds.files import reason
 from train import benchmark
 from train.beyond.command import Beyond
 from train.compare.command import Compare
@@ -28,6 +31,11 @@ from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.figures.command import Figures
 from train.view import View
+
+
+def given(arguments: Sequence[str]) -> set[str]:
+    """Names of the options that a command line says."""
+    return {word[2:].partition("=")[0].replace("-", "_") for word in arguments if word.startswith("--")}
 
 
 def main() -> int:
@@ -46,6 +54,9 @@ def main() -> int:
     }
     # Small tensors: a second thread costs more than it gives, and results depend on one only.
     torch.set_num_threads(1)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without Unicode gets what it can show
+            stream.reconfigure(errors="backslashreplace")
     try:
         arguments = sys.argv[1:]
         if arguments and is_spec(arguments[0]):
@@ -60,9 +71,16 @@ def main() -> int:
             config=(tyro.conf.FlagConversionOff,),
         )
         with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
-            run(options) if isinstance(options, RunOptions) else options.main()
+            run(options, given(arguments)) if isinstance(options, RunOptions) else options.main()
     except TorchdsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # whoever read what is printed has gone
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return 2
+    except OSError as error:  # a disk that is full, read-only or gone, wherever it is met
+        place = f"{error.filename}: " if error.filename is not None else ""
+        print(f"error: {place}{reason(error)}", file=sys.stderr)
         return 2
     except Interrupted as stop:
         print(stop, file=sys.stderr)

@@ -1,22 +1,27 @@
-"""The folder of a run: which files it has, and writes that a kill cannot leave half done."""
+"""The folder of a run: which files it has, that they are verified when they are read, and whose they are."""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
-import torch
-
-from torchds.errors import InvalidArgumentError
+from torchds import files
+from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
+from torchds.locks import one_writer
 from train.options import RunOptions, options_class
 
 OPTIONS, CHECKPOINT, RESULTS, POLICY = "options.json", "checkpoint.pt", "results.json", "policy.pt"
+RECORD = ("task", "options", "versions", "rollouts", "forward_equivalents", "cost", "terms", "failed", "seconds")
+"""What results.json holds."""
 
 
 class Interrupted(Exception):
@@ -24,7 +29,13 @@ class Interrupted(Exception):
 
 
 class Resumable(Protocol):
-    """What a checkpoint is loaded into."""
+    """What a checkpoint is made of, and loaded into."""
+
+    options: RunOptions
+    history: Any
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that is needed to continue."""
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where the state was taken."""
@@ -33,9 +44,10 @@ class Resumable(Protocol):
 class RunFolder:
     """What a run leaves behind, and what it resumes from.
 
-    `options.json` holds `{"task", "options"}` and is there from the beginning, `checkpoint.pt` what the learner needs to
-    continue, `results.json` what `train.learning.history.results` says, and `policy.pt` the policies; the last two are
-    there in the end. Readers see an old file or a new one, never a half.
+    `options.json` holds `{"task", "options", "versions"}` and is there from the beginning, `checkpoint.pt` what the learner
+    needs to continue and whose it is, `results.json` what `train.learning.history.results` says, and `policy.pt` the
+    policies; the last two are there in the end. Each has a digest of its content and is verified when it is read. Readers see
+    an old file or a new one, never a half.
 
     Args:
         path: of the folder, which need not be there.
@@ -48,16 +60,18 @@ class RunFolder:
     @classmethod
     def new(cls, logdir: Path, task: str, optimizer: str, seed: int) -> RunFolder:
         """Make LOGDIR/<task>/<optimizer>/<time>-<seed>/, a new one in any case."""
-        parent = logdir / task / optimizer
-        stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{seed}"
-        names = (stem if i == 0 else f"{stem}.{i}" for i in range(1000))
-        for path in (parent / name for name in names):
-            try:
-                path.mkdir(parents=True)
-            except FileExistsError:
-                continue
-            return cls(path)
-        raise InvalidArgumentError(f"cannot make a new folder like {parent / stem}")
+        return cls(new_folder(logdir / task / optimizer, f"-{seed}"))
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Be the only one who writes here, in a folder that is made where it is missing.
+
+        Raises:
+            FileError: another process works here, or the folder cannot be written to.
+        """
+        make_folder(self.path)
+        with one_writer(self.path):
+            yield
 
     def has(self, name: str) -> bool:
         """Whether a file is there."""
@@ -77,59 +91,150 @@ class RunFolder:
 
     def begin(self, task: str, options: dict[str, Any]) -> None:
         """Make the folder where it is missing, and write down what is to be run."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        write_json(self.path / OPTIONS, {"task": task, "options": options})
+        make_folder(self.path)
+        write_sealed(self.path / OPTIONS, {"task": task, "options": options, "versions": versions()})
 
     def options(self) -> RunOptions:
         """Those that it was begun with.
 
         Raises:
-            InvalidArgumentError: no run is there.
+            InvalidArgumentError: no run is there, or one with options that this version does not know.
+            FileError: the file is damaged, or not of a run.
         """
         self.require(OPTIONS)
-        content = json.loads((self.path / OPTIONS).read_text())
-        return options_class(content["task"]).from_json(content["options"])
+        path = self.path / OPTIONS
+        content = read_sealed(path, unsealed=("task", "options"))
+        task, options = content.get("task"), content.get("options")
+        if not isinstance(task, str) or not isinstance(options, dict):
+            raise FileError(f"{path} holds no options of a run")
+        try:
+            return options_class(task).from_json(options)
+        except (InvalidArgumentError, UnknownNameError) as error:
+            raise InvalidArgumentError(f"{path}: {error}") from error
 
-    def save_checkpoint(self, state: dict[str, Any]) -> None:
-        """Keep the state of a learner."""
-        save_state(self.path / CHECKPOINT, state)
+    # ------------------------------------------------------------------ checkpoints
 
-    def restore(self, learner: Resumable) -> None:
-        """Bring a learner to the last checkpoint; where there is none yet, it stays as it is."""
-        if self.has(CHECKPOINT):
-            learner.load_state_dict(torch.load(self.path / CHECKPOINT, weights_only=True))
+    def save_checkpoint(self, learner: Resumable, events: int = 0) -> None:
+        """Keep the state of a learner, with all that says whose it is.
+
+        Args:
+            learner: as it stands.
+            events: bytes of TensorBoard's file that belong to it.
+        """
+        said = {"task": learner.options.task, "options": learner.options.to_json(), "versions": versions()}
+        files.save(self.path / CHECKPOINT, "checkpoint", {**said, "events": events, "learner": learner.state_dict()})
+
+    def restore(self, learner: Resumable) -> int:
+        """Bring a learner to the last checkpoint; where there is none yet, it stays as it is.
+
+        Returns:
+            The bytes of TensorBoard's file that belong to it; 0 without a checkpoint.
+
+        Raises:
+            FileError: the checkpoint is damaged, or belongs to another run; the message says what differs.
+        """
+        if not self.has(CHECKPOINT):
+            return 0
+        path = self.path / CHECKPOINT
+        content = load(path, "checkpoint", ("task", "options", "versions", "events", "learner"))
+        check_identity(path, content, learner.options)
+        say_versions(path, content["versions"])
+        try:
+            learner.load_state_dict(content["learner"])
+        except InvalidArgumentError as error:
+            raise FileError(f"{path} does not fit this run: {error}") from error
+        if not learner.history.cost:
+            raise FileError(f"{path} holds an empty history; remove it to begin the run anew")
+        return int(content["events"])
 
     def drop_checkpoint(self) -> None:
         """Remove the checkpoint of a run that is finished."""
         (self.path / CHECKPOINT).unlink(missing_ok=True)
 
+    # ------------------------------------------------------------------ what is there in the end
+
     def write_results(self, record: dict[str, Any]) -> None:
         """Write results.json."""
-        write_json(self.path / RESULTS, record)
+        write_sealed(self.path / RESULTS, record)
 
     def results(self) -> dict[str, Any]:
-        """The content of results.json.
+        """The content of results.json; costs that were not finite are NaN.
 
         Raises:
             InvalidArgumentError: the run is not finished, or there is none.
+            FileError: the file is damaged, or not of a run.
         """
         self.require(RESULTS)
-        return json.loads((self.path / RESULTS).read_text())
+        content = read_sealed(self.path / RESULTS, unsealed=RECORD)
+        if missing := [name for name in RECORD if name not in content]:
+            raise FileError(
+                f"{self.path / RESULTS} is no result of a run of this version: no {', '.join(missing)} in it"
+            )
+        return {**content, "cost": numbers(content["cost"]), "terms": numbers(content["terms"])}
 
-    def save_policy(self, state: dict[str, Any]) -> None:
+    def save_policy(self, state: Mapping[str, Any]) -> None:
         """Write the policies."""
-        save_state(self.path / POLICY, state)
+        files.save(self.path / POLICY, "policy", state)
 
     def policy(self) -> dict[str, Any]:
         """The state of the policies.
 
         Raises:
             InvalidArgumentError: there is none.
+            FileError: the file is damaged.
         """
         self.require(POLICY)
-        return torch.load(self.path / POLICY, weights_only=True)
+        return files.load(self.path / POLICY, "policy")
 
 
+# ------------------------------------------------------------------ whose a file is
+
+
+def load(path: Path, kind: str, names: Iterable[str]) -> dict[str, Any]:
+    """The content of a file of tensors, verified, with all of these names in it.
+
+    Raises:
+        FileError: it is damaged, of another kind, or lacks a name.
+    """
+    content = files.load(path, kind)
+    if missing := [name for name in names if name not in content]:
+        raise FileError(f"{path} is no {kind} of this version: no {', '.join(missing)} in it")
+    return content
+
+
+def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) -> None:
+    """Refuse a file of another run: another task, or another value of an option that decides about what is learned.
+
+    The number of updates may differ, since a run can be extended, and so may the place of the folder.
+
+    Raises:
+        FileError: what differs.
+    """
+    here, usual = options.to_json(), type(options)().to_json()
+    there = content["options"]
+    differing = [
+        f"{name} {there.get(name, usual[name])} there and {here[name]} here"
+        for name in here
+        if name not in ("updates", "logdir") and there.get(name, usual[name]) != here[name]
+    ]
+    if content["task"] != options.task:
+        differing.insert(0, f"task {content['task']} there and {options.task} here")
+    if differing:
+        raise FileError(f"{path} belongs to another run: {', '.join(differing)}")
+
+
+def say_versions(path: Path, written: Mapping[str, str]) -> None:
+    """Say on stderr where a file was written with other versions: what follows may then differ in its last digits."""
+    here = versions()
+    if differing := [
+        f"{name} {written.get(name)}, here {here.get(name)}"
+        for name in here | dict(written)
+        if here.get(name) != written.get(name)
+    ]:
+        print(f"note: {path} was written with {'; '.join(differing)}: last digits may differ", file=sys.stderr)
+
+
+@cache
 def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
     found = {"python": platform.python_version(), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
@@ -141,18 +246,70 @@ def versions() -> dict[str, str]:
     return found
 
 
-def write_atomically(path: Path, write: Any) -> None:
-    """Call `write(temporary path)`, then move the file into place: readers see the old file or the new one."""
-    temporary = path.with_name(f".{path.name}.part")
-    write(temporary)
-    os.replace(temporary, path)
+# ------------------------------------------------------------------ folders, and JSON with a digest
 
 
-def save_state(path: Path, content: dict[str, Any]) -> None:
-    """Write tensors and plain values atomically."""
-    write_atomically(path, lambda temporary: torch.save(content, temporary))
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it.
+
+    Raises:
+        FileError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"the folder {path} cannot be made: {files.reason(error)}; give another one") from error
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON atomically."""
-    write_atomically(path, lambda temporary: temporary.write_text(json.dumps(content, indent=1) + "\n"))
+def new_folder(parent: Path, ending: str = "") -> Path:
+    """Make PARENT/<time><ending>, a new one in any case."""
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}{ending}"
+    make_folder(parent)
+    for path in (parent / (stem if i == 0 else f"{stem}.{i}") for i in range(1000)):
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise FileError(f"the folder {path} cannot be made: {files.reason(error)}; give another one") from error
+        return path
+    raise FileError(f"cannot make a new folder like {parent / stem}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    files.write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON with a digest of its content; what is not finite becomes null."""
+    content = json.loads(json.dumps(files.plain(content)))
+    files.write_json(path, {**content, "digest": files.digest(content)})
+
+
+def read_sealed(path: Path, unsealed: Iterable[str] = ()) -> dict[str, Any]:
+    """The content of what `write_sealed` wrote, without the digest.
+
+    Args:
+        path: of the file.
+        unsealed: names in a file of a version that wrote no digests; one that has no others is read as it is.
+
+    Raises:
+        FileError: there is no such file, it is damaged, or it was changed by hand.
+    """
+    content = files.read_json(path)
+    written = content.pop("digest", None)
+    if (written is not None or not content.keys() <= set(unsealed)) and written != files.digest(content):
+        raise FileError(
+            f"{path} is damaged, or was changed by hand: its content does not have the digest that was written with it"
+        )
+    return content
+
+
+def numbers(value: Any) -> Any:
+    """Lists and dicts with NaN where JSON has null."""
+    if isinstance(value, dict):
+        return {name: numbers(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [numbers(item) for item in value]
+    return float("nan") if value is None else value

@@ -10,13 +10,14 @@ from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
 import tasks
 from tasks.loading import absolute, is_spec
-from torchds.errors import UnknownNameError
+from torchds.errors import InvalidArgumentError, UnknownNameError
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 
@@ -87,7 +88,8 @@ class RunOptions:
     logdir: Path = field(default_factory=lambda: Path("logs"))
     """Where runs write: LOGDIR/<task>/<optimizer>/<time>-<seed>/."""
     resume: Path | None = None
-    """Continue the run in this folder; its own options hold, the others given here are ignored."""
+    """Continue the run in this folder, with its own options. Of those given beside it more --updates extend the run; others
+    are refused where they differ."""
 
     def __post_init__(self) -> None:
         for option, known in (("optimizer", Optimizer), ("exploration", Exploration)):
@@ -116,9 +118,51 @@ class RunOptions:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """What `to_json` gave; what is not there, as in a file of an older version, is as usual.
+
+        Raises:
+            InvalidArgumentError: an option that does not exist, or a value that it cannot have.
+        """
+        kinds = get_type_hints(cls)
+        known = {field.name: kinds[field.name] for field in fields(cls) if field.name != "resume"}
+        for name, value in values.items():
+            if name not in known:
+                raise UnknownNameError(f"option of {cls.task}", name, known)
+            if not fits(value, known[name]):
+                raise InvalidArgumentError(f"the option {name} cannot be {value!r}; it has to be {words(known[name])}")
         paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
         return cls(**{**values, **paths})
+
+
+def check_seed(seed: int, bits: int = 63) -> None:
+    """Refuse a seed that no generator takes.
+
+    Raises:
+        InvalidArgumentError: it is negative, or has more bits.
+    """
+    if not 0 <= seed < 2**bits:
+        raise InvalidArgumentError(f"--seed has to be a whole number from 0 to 2^{bits} - 1, got {seed}")
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a plain value can be one of an option of this type."""
+    if get_origin(kind) in (Union, UnionType):
+        return any(fits(value, each) for each in get_args(kind))
+    if get_origin(kind) is Literal:
+        return any(value == each and type(value) is type(each) for each in get_args(kind))
+    plain = {bool: bool, int: int, float: (int, float), str: str, Path: str, NoneType: NoneType}
+    return kind not in plain or (isinstance(value, plain[kind]) and (kind is bool or not isinstance(value, bool)))
+
+
+def words(kind: Any) -> str:
+    """What an option of this type can be, in words."""
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(map(words, get_args(kind)))
+    if get_origin(kind) is Literal:
+        return " or ".join(map(repr, get_args(kind)))
+    return {NoneType: "nothing", int: "a whole number", float: "a number", str: "a text", Path: "a path"}.get(
+        kind, str(kind)
+    )
 
 
 def options_class(task: str) -> type[RunOptions]:

@@ -18,3 +18,13 @@ if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get(
         if _opengl and ctypes.util.find_library(_library):
             os.environ.setdefault("MUJOCO_GL", _platform)
             break
+
+try:
+    import mujoco
+except ImportError:
+    raise
+except Exception:  # whatever an OpenGL library that is not whole raises: only pictures need it
+    for _name in [name for name in sys.modules if name.partition(".")[0] == "mujoco"]:
+        del sys.modules[_name]
+    os.environ["MUJOCO_GL"] = "disabled"
+    import mujoco  # noqa: F401

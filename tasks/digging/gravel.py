@@ -15,15 +15,16 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import tempfile
 from dataclasses import astuple, dataclass
 from math import ceil, pi
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import torch
 
-from torchds.errors import InvalidArgumentError, TorchdsError
+from torchds import files
+from torchds.errors import FileError, InvalidArgumentError, TorchdsError
 
 FORMAT = 1
 """Version of the beds in the cache; raise it with any change of the model of the bed."""
@@ -147,25 +148,21 @@ def lost(places: np.ndarray, gravel: Gravel) -> np.ndarray:
 def bed(gravel: Gravel) -> np.ndarray:
     """Places `(G, 3)` of the settled grains: x, z [m] and turn [rad]; computed once, then from the cache.
 
+    What the cache holds is verified, and computed anew where it is damaged.
+
     Raises:
         SettlingError: the settings give no bed at rest.
     """
-    path = cache_folder() / f"gravel-{gravel.key()}.npy"
-    try:
-        places = np.asarray(np.load(path))
-    except (OSError, ValueError, EOFError):  # not there, or not what its name claims
-        places = settle(gravel)
-        _keep(path, places)
-    return places
-
-
-def _keep(path: Path, places: np.ndarray) -> None:
-    """Written aside and renamed, so that another process never reads half a file; where nothing can be written, not kept."""
-    with contextlib.suppress(OSError):
+    path, key = cache_folder() / f"gravel-{gravel.key()}.pt", gravel.key()
+    with contextlib.suppress(FileError):  # not there, damaged, or another bed under its name
+        kept = files.load(path, "bed of gravel")
+        if kept.get("key") == key:
+            return kept["places"].numpy()
+    places = settle(gravel)
+    with contextlib.suppress(FileError, OSError):  # where nothing can be written, it is not kept
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-            np.save(file, places)
-        os.replace(file.name, path)
+        files.save(path, "bed of gravel", {"key": key, "places": torch.from_numpy(places)})
+    return places
 
 
 def settle(gravel: Gravel) -> np.ndarray:

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from torchds.errors import InvalidArgumentError
-from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, versions, write_atomically
+from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, versions
+from train.learning.history import History, results
 from train.options import options_for
 
 
@@ -39,7 +40,8 @@ def test_options_come_back_as_they_were_begun_with(options, tmp_path):
 class Counter:
     """A learner that knows one number."""
 
-    def __init__(self):
+    def __init__(self, **options):
+        self.options, self.history = options_for("via_point", **options), History(cost=[[1.0]])
         self.n = torch.tensor(0)
 
     def state_dict(self):
@@ -54,9 +56,9 @@ def test_a_learner_comes_back_from_its_checkpoint_and_stays_new_without_one(tmp_
     folder.restore(learner)
     assert int(learner.n) == 0
     learner.n += 5
-    folder.save_checkpoint(learner.state_dict())
+    folder.save_checkpoint(learner, events=7)
     again = Counter()
-    folder.restore(again)
+    assert folder.restore(again) == 7
     assert int(again.n) == 5
     folder.drop_checkpoint()
     folder.drop_checkpoint()  # twice is fine
@@ -65,9 +67,10 @@ def test_a_learner_comes_back_from_its_checkpoint_and_stays_new_without_one(tmp_
 
 def test_results_and_policy_come_back(tmp_path):
     folder = RunFolder(tmp_path)
-    folder.write_results({"cost": [[1.5, 2.5]]})
+    record = results("via_point", {"seed": 3}, History(cost=[[1.5, 2.5]], terms={"goal": [[1.5, 2.5]]}))
+    folder.write_results(record)
     folder.save_policy({"A": torch.ones(2, 3)})
-    assert folder.results() == {"cost": [[1.5, 2.5]]}
+    assert folder.results() == record
     assert torch.equal(folder.policy()["A"], torch.ones(2, 3))
     assert sorted(path.name for path in tmp_path.iterdir()) == [POLICY, RESULTS]
 
@@ -86,19 +89,6 @@ def test_what_is_missing_is_named_with_the_option_that_asked_for_it(tmp_path):
     with pytest.raises(InvalidArgumentError, match=r"x: no results.json, policy.pt there"):
         folder.require(OPTIONS, RESULTS, POLICY)
     folder.require(OPTIONS)
-
-
-def test_a_write_that_breaks_leaves_the_old_file(tmp_path):
-    path = tmp_path / "file"
-    write_atomically(path, lambda temporary: temporary.write_text("old"))
-
-    def broken(temporary):
-        temporary.write_text("ne")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, broken)
-    assert path.read_text() == "old"
 
 
 def test_versions_name_what_results_depend_on():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,12 +13,13 @@ from tqdm import tqdm
 import tasks
 from torchds import GaussianMixture
 from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.files import write_json
 from torchds.optim import repeated
 from torchds.recruiting import most_wanted, recruit
 from train.beyond.starts import one_start
-from train.folder import versions, write_json
+from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
-from train.options import LEARNERS, RunOptions, options_for
+from train.options import LEARNERS, RunOptions, check_seed, options_for
 from train.searchers.base import Closure
 from train.statistics import differ, quartiles
 from train.tables import markdown
@@ -93,8 +93,8 @@ class Beyond:
                 f"--runs of at least 2, a positive --budget and --width and --levels ≥ 0 are needed, got {self.runs}, "
                 f"{self.budget}, {self.width} and {self.levels}"
             )
-        folder = self.logdir / "beyond" / time.strftime("%Y%m%d-%H%M%S")
-        folder.mkdir(parents=True)
+        check_seed(self.seed)
+        folder = new_folder(self.logdir / "beyond")
         lines = [
             "# Beyond the paper",
             "",
@@ -117,7 +117,7 @@ class Beyond:
             table = markdown(("", "way", "trajectories", "median", "q1", "q3", "p"), rows)
             lines += ["", f"## {experiment}", "", table]
         text = "\n".join(lines) + "\n"
-        (folder / "report.md").write_text(text)
+        write_text(folder / "report.md", text)
         write_json(folder / "costs.json", {"versions": versions(), "rows": found})
         print(text)
         print(f"report.md and costs.json in {folder}")

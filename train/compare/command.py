@@ -15,13 +15,13 @@ from tqdm import tqdm
 import tasks
 from tasks import PROBLEMS
 from tasks.loading import is_spec, short
-from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
+from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report
 from train.compare.report import Outcome
-from train.folder import RESULTS, Interrupted, RunFolder, versions
+from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder, check_identity, new_folder, versions
 from train.learning.history import results
 from train.learning.learner import Learner
-from train.options import Optimizer, RunOptions, options_class
+from train.options import Optimizer, RunOptions, check_seed, options_class
 from train.searchers.named import METHODS
 from train.statistics import median
 
@@ -84,6 +84,7 @@ class Compare:
             UnknownNameError: a task or an optimizer that does not exist.
             Interrupted: from the keyboard; the same command continues.
         """
+        check_seed(self.seed)
         self.check()
         added = [self.added(path) for path in self.add]
         candidates = [
@@ -102,8 +103,7 @@ class Compare:
             except KeyboardInterrupt:
                 raise Interrupted("stopped; the same command continues") from None
         rows += added
-        folder = self.logdir / "compare" / time.strftime("%Y%m%d-%H%M%S")
-        folder.mkdir(parents=True)
+        folder = new_folder(self.logdir / "compare")
         text = report.write(folder, rows, self.to_json(), versions())
         print(text)
         print(f"tables, curves and TensorBoard files in {folder}")
@@ -140,6 +140,8 @@ class Compare:
             )
             best = min(tuned, key=lambda factor: tuned[factor]) if tuned else self.factors[0]
             record = self.learned(self.options(candidate, best, self.runs if random else 1, self.seed), bar)
+        except FileError:  # of a run that is damaged, or that somebody else makes now: no word about the method
+            raise
         except TorchdsError as error:
             return Outcome(short(candidate.problem), candidate.label, refused=str(error))
         gradient = candidate.optimizer in METHODS and METHODS[candidate.optimizer].gradient
@@ -186,21 +188,37 @@ class Compare:
         key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
         folder = RunFolder(self.logdir / "compare" / "runs" / options.name / f"{short(options.optimizer)}-{key}")
         if folder.has(RESULTS):
-            return folder.results()
+            return self.found(folder, options)
         learner = Learner(options, made(options))
-        folder.begin(options.task, options.to_json())
-        folder.restore(learner)
-        learner.start()
-        saved = time.monotonic()
-        while learner.done < learner.n_updates:
-            learner.update()
-            bar.set_postfix_str(f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}")
-            if time.monotonic() - saved > SAVE_EVERY:
-                folder.save_checkpoint(learner.state_dict())
-                saved = time.monotonic()
-        folder.write_results(results(options.task, options.to_json(), learner.history))
-        folder.drop_checkpoint()
+        with folder.alone():
+            if folder.has(RESULTS):  # somebody else has just made it
+                return self.found(folder, options)
+            if not folder.has(OPTIONS):
+                folder.begin(options.task, options.to_json())
+            folder.restore(learner)
+            learner.start()
+            saved = time.monotonic()
+            while learner.done < learner.n_updates:
+                learner.update()
+                bar.set_postfix_str(
+                    f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}"
+                )
+                if time.monotonic() - saved > SAVE_EVERY:
+                    folder.save_checkpoint(learner)
+                    saved = time.monotonic()
+            folder.write_results(results(options.task, options.to_json(), learner.history))
+            folder.drop_checkpoint()
         return folder.results()
+
+    def found(self, folder: RunFolder, options: RunOptions) -> dict[str, Any]:
+        """Results that are there, if they are those of these options.
+
+        Raises:
+            FileError: they are damaged, or of others.
+        """
+        record = folder.results()
+        check_identity(folder.path / RESULTS, record, options)
+        return record
 
     # ------------------------------------------------------------------ rows of others
 

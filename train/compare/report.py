@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch.utils.tensorboard import SummaryWriter
 
+from train.folder import write_text
 from train.statistics import quartiles
 from train.tables import markdown
 
@@ -247,7 +248,7 @@ def draw(axes: Axes, rows: Sequence[Outcome], color: dict[str, str], level: floa
 def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, str]) -> str:
     """Write report.md, table.csv, curves.csv, curves.png and TensorBoard files; return the report."""
     text = page(rows, options, versions)
-    (folder / "report.md").write_text(text)
+    write_text(folder / "report.md", text)
     kept = [row for row in rows if not row.refused]
     with (folder / "table.csv").open("w", newline="") as file:
         writer = csv.writer(file)

@@ -19,6 +19,7 @@ from tasks.base import total
 from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted, RunFolder
 from train.learning.history import History, results, table
+from train.options import check_seed
 from train.statistics import median
 
 EVALUATIONS = 50  # at most, besides the first; a trial takes as long as a tenth of an update
@@ -76,6 +77,7 @@ class DeepRL:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise InvalidArgumentError(f"--{name} has to be at least 1, got {value}")
+        check_seed(self.seed, bits=31)
         task = tasks.make(self.task, **self.task_options())
         n_updates = self.updates or task.search.n_updates
         n_rollouts = self.rollouts or task.search.n_rollouts

@@ -10,9 +10,11 @@ from tqdm import tqdm
 
 from torchds import StableFit
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.folder import versions, write_json
+from torchds.files import write_json
+from train.folder import make_folder, versions, write_text
 from train.lasa import report
 from train.lasa.measures import FITS, Split, SplitKind, draw, evaluate, fits, single_motions
+from train.options import check_seed
 
 
 @dataclass
@@ -38,9 +40,10 @@ class BenchmarkLasa:
             UnknownNameError: a motion that is not among the 26.
             MissingPackageError: without the extra "lasa".
         """
+        check_seed(self.seed, bits=31)
         motions = self.names()
         folder = self.logdir / "benchmark_lasa"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         began = time.perf_counter()
         rows: list[dict] = []
         shown: tuple[Split, StableFit] | None = None
@@ -61,7 +64,7 @@ class BenchmarkLasa:
         text = report.page(rows, options, versions(), total)
         report.write_tables(folder, rows)
         write_json(folder / "options.json", {"options": options, "versions": versions(), "seconds": round(total, 1)})
-        (folder / "benchmark_lasa.md").write_text(text)
+        write_text(folder / "benchmark_lasa.md", text)
         if shown is not None:
             report.fields(motions, *shown, rows).savefig(folder / "fields.png", dpi=110)
         print(text.split("## By motion")[0])

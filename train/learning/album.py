@@ -9,10 +9,11 @@ import numpy as np
 import PIL.Image
 from matplotlib.figure import Figure
 from tensorboard.compat.proto.summary_pb2 import Summary
-from torch.utils.tensorboard import SummaryWriter
 
 from torchds import Rollout, plotting
 from torchds.errors import TorchdsError
+from torchds.files import write_atomically
+from train.learning.events import Events
 from train.learning.learner import Learner
 from train.statistics import quartiles
 
@@ -23,8 +24,8 @@ PLAYED = 8.0  # frames a second
 class Album:
     """Adds pictures to a run, a few times over its length; where nothing can render, it says so once and goes on."""
 
-    def __init__(self, writer: SummaryWriter, learner: Learner) -> None:
-        self.writer, self.learner = writer, learner
+    def __init__(self, events: Events, learner: Learner) -> None:
+        self.events, self.learner = events, learner
         self.every = max(1, learner.n_updates // 10)
         self._renders = True
 
@@ -34,20 +35,19 @@ class Album:
         if path is None or update % self.every:
             return
         if path.stiffness is not None:
-            self.writer.add_figure("stiffness/profile", stiffness_profile(path), update)
+            self.events.figure("stiffness/profile", stiffness_profile(path), update)
         if (picture := self._film(1)) is not None:
-            self.writer.add_image("trial/end", picture[0], update, dataformats="HWC")
+            self.events.image("trial/end", picture[0], update)
 
     def finish(self, folder: Path) -> None:
         """A film of the present policy: in TensorBoard, and as `film.gif` in `folder` beside its last picture."""
         if (film := self._film(FRAMES)) is None:
             return
         moving = gif(film)
-        (folder / "film.gif").write_bytes(moving)
-        PIL.Image.fromarray(film[-1]).save(folder / "trial.png")
+        write_atomically(folder / "film.gif", lambda stream: stream.write(moving))
+        write_atomically(folder / "trial.png", lambda stream: PIL.Image.fromarray(film[-1]).save(stream, "PNG"))
         image = Summary.Image(height=film.shape[1], width=film.shape[2], colorspace=3, encoded_image_string=moving)
-        summary = Summary(value=[Summary.Value(tag="trial/film", image=image)])
-        self.writer._get_file_writer().add_summary(summary, self.learner.done)
+        self.events.add(Summary(value=[Summary.Value(tag="trial/film", image=image)]), self.learner.done)
 
     def _film(self, frames: int) -> np.ndarray | None:
         path = self.learner.path

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchds.errors import InvalidArgumentError
 from train.folder import versions
 from train.statistics import median, quartiles
 from train.tables import aligned
@@ -33,6 +35,21 @@ class History:
     failed: list[int] = field(default_factory=list)
     forward_equivalents: list[int] = field(default_factory=list)
     seconds: float = 0.0
+
+    @classmethod
+    def of(cls, fields: Mapping[str, Any], runs: int) -> History:
+        """The history that `dataclasses.asdict` made `fields` of.
+
+        Raises:
+            InvalidArgumentError: not as many lines in all columns, or not a cost for each of the runs.
+        """
+        history = cls(**fields)
+        n = len(history.cost)
+        columns = [history.rollouts, history.failed, history.forward_equivalents, *history.terms.values()]
+        costs = [row for rows in (history.cost, *history.terms.values()) for row in rows]
+        if any(len(column) != n for column in columns) or any(len(row) != runs for row in costs):
+            raise InvalidArgumentError(f"its history is not one of {runs} run(s): columns or lines are missing")
+        return history
 
     def add(self, rollouts: int, terms: dict[str, Tensor], failed: int, forward_equivalents: int) -> None:
         """Append one evaluation, terms `(runs,)` each."""

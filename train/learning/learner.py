@@ -12,6 +12,7 @@ import torch
 import tasks
 from tasks.base import total
 from torchds import GMRPolicy, Rollout
+from torchds.errors import InvalidArgumentError, TorchdsError
 from train.learning.history import History
 from train.options import RunOptions
 from train.searchers.base import Closure, noisy
@@ -116,6 +117,7 @@ class Learner:
     def state_dict(self) -> dict[str, Any]:
         """Everything that a checkpoint needs to continue bit for bit."""
         return {
+            "initial": self.initial.state_dict(),
             "policy": self.policy.state_dict(),
             "searcher": self.searcher.state_dict(),
             "noise": self.noise.get_state(),
@@ -124,9 +126,24 @@ class Learner:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self.policy.load_state_dict(state["policy"])
-        self.searcher.load_state_dict(state["searcher"])
-        self.noise.set_state(state["noise"])
-        self.task.load_state_dict(state["task"])
-        self.history = History(**state["history"])
+        """Continue where `state_dict` was taken.
+
+        Raises:
+            InvalidArgumentError: a state of other policies or another searcher, or a history that is not one; the learner is
+                of no further use.
+        """
+        try:
+            history = History.of(state["history"], self.options.runs)
+            for name, value in self.initial.state_dict().items():
+                if not torch.allclose(value, state["initial"][name], rtol=1e-6, atol=1e-9, equal_nan=True):
+                    raise InvalidArgumentError(
+                        "it began with another policy: demonstrations or mixture have changed since"
+                    )
+            self.policy.load_state_dict(state["policy"])
+            self.searcher.load_state_dict(state["searcher"])
+            self.noise.set_state(state["noise"])
+            self.task.load_state_dict(state["task"])
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            said = str(error) if isinstance(error, TorchdsError) else f"{type(error).__name__}: {error}"
+            raise InvalidArgumentError(" ".join(said.split())) from error
+        self.history = history

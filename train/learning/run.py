@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import io
+import sys
+import time
+from collections.abc import Collection
+from dataclasses import fields, replace
 from pathlib import Path
 
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from tasks.loading import short
 from torchds.errors import InvalidArgumentError
-from train.folder import Interrupted, RunFolder
+from torchds.files import write_atomically
+from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder
 from train.learning import figures
 from train.learning.album import Album
+from train.learning.events import Events
 from train.learning.history import results, table
 from train.learning.learner import Learner
-from train.options import RunOptions
+from train.options import RunOptions, check_seed
 from train.statistics import median, quartiles
+
+SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
 
 
 def check(options: RunOptions) -> None:
@@ -24,6 +32,7 @@ def check(options: RunOptions) -> None:
     Raises:
         InvalidArgumentError: which option, what it is, and what is allowed.
     """
+    check_seed(options.seed)
     for name in ("runs", "updates", "rollouts"):
         value = getattr(options, name)
         if value is not None and value < (0 if name == "updates" else 1):
@@ -34,36 +43,115 @@ def check(options: RunOptions) -> None:
         )
 
 
-def run(options: RunOptions) -> Path:
+def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
     """Learn, log, and return the folder of the run.
+
+    Args:
+        options: of the run, or of one to resume.
+        given: names of the options that were said beside `resume`; if None, those that are not as usual.
 
     Raises:
         InvalidArgumentError: options that do not fit.
-        Interrupted: from the keyboard; everything up to the last update is kept.
+        FileError: what is to be resumed is damaged or belongs to another run, or nothing can be written.
+        Interrupted: from the keyboard; everything up to the last checkpoint is kept.
     """
-    folder = None if options.resume is None else RunFolder(options.resume, "--resume")
-    options = options if folder is None else folder.options()
-    check(options)
-    learner = Learner(options)
-    if folder is None:
+    if options.resume is None:
+        check(options)
+        learner = Learner(options)
         folder = RunFolder.new(options.logdir, options.name, short(options.optimizer), options.seed)
-        folder.begin(options.task, options.to_json())
-    else:
-        folder.restore(learner)
+        with folder.alone():
+            folder.begin(options.task, options.to_json())
+            return learn(folder, learner)
+    folder = RunFolder(options.resume, "--resume")
+    folder.require(OPTIONS)
+    with folder.alone():
+        before = folder.options()
+        options = merged(options, before, folder, given)
+        check(options)
+        learner = Learner(options)
+        written = folder.restore(learner)
+        if learner.n_updates < learner.done:
+            raise InvalidArgumentError(
+                f"--updates {options.updates}: the run in {folder.path} has made {learner.done} already; give more, or none"
+            )
+        if options.updates != before.updates:
+            folder.begin(options.task, options.to_json())
+            print(
+                f"{learner.done} updates are made, goes on to {learner.n_updates}; the noise keeps the decay that it was begun "
+                f"with: {decay(learner)}"
+            )
+        return learn(folder, learner, written)
+
+
+def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Collection[str] | None) -> RunOptions:
+    """The options of a run to resume, extended by those that were given now.
+
+    Raises:
+        InvalidArgumentError: one contradicts what was begun.
+    """
+    if options.task != before.task:
+        raise InvalidArgumentError(
+            f"--resume {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
+            f"python -m train {before.task} --resume {folder.path}"
+        )
+    usual = type(options)()
+    names = [field.name for field in fields(options) if field.name not in ("resume", "logdir")]
+    if given is None:
+        given = [name for name in names if getattr(options, name) != getattr(usual, name)]
+    differing = [name for name in names if name in given and getattr(options, name) != getattr(before, name)]
+    contradicting = [
+        f"--{name.replace('_', '-')} {getattr(options, name)} (it was {getattr(before, name)})"
+        for name in differing
+        if name != "updates"
+    ]
+    if contradicting:
+        raise InvalidArgumentError(
+            f"--resume {folder.path} continues a run with its own options, and cannot take {', '.join(contradicting)}; leave "
+            "them out, or begin another run"
+        )
+    return replace(before, updates=options.updates) if differing else before
+
+
+def decay(learner: Learner) -> str:
+    """What the decay of the noise is, and where it stands, in words."""
+    name = learner.options.decay or "that of the task"
+    width = learner.searcher.scalars().get("exploration/lr")
+    return name if width is None else f"{name}, its width is {width:.3g} times that of the start"
+
+
+def learn(folder: RunFolder, learner: Learner, written: int = 0) -> Path:
+    """Make the updates that are missing, and write what a finished run has; one that is finished is left as it is.
+
+    Args:
+        folder: of the run, which nobody else writes to.
+        learner: new, or as the checkpoint has it.
+        written: bytes of TensorBoard's file that belong to the checkpoint.
+    """
+    options, history = learner.options, learner.history
     print(f"{options.name}: {options.runs} run(s), logs in {folder.path}")
-    with SummaryWriter(str(folder.path), purge_step=learner.done) as writer:
-        album = Album(writer, learner)
-        if not learner.history.cost:
+    if folder.has(RESULTS) and len(folder.results()["cost"]) == learner.n_updates + 1 == learner.done + 1:
+        print(f"all {learner.done} updates are made, nothing is changed")
+        return folder.path
+    with Events(folder.path, written) as events:
+        album = Album(events, learner)
+        if events.lost:
+            print(f"note: {events.path} was cut or lost; it has the costs of all updates again", file=sys.stderr)
+            for update in range(len(history.cost)):
+                log_costs(events, learner, update)
+        if not history.cost:
             learner.start()
-            log(writer, learner, seconds=0.0)
+            log(events, learner, seconds=0.0)
             album.add()
         bar = tqdm(initial=learner.done, total=learner.n_updates, unit="update", dynamic_ncols=True)
+        saved = -SAVE_EVERY
         try:
             while learner.done < learner.n_updates:
                 seconds = learner.update()
-                log(writer, learner, seconds)
+                log(events, learner, seconds)
                 album.add()
-                folder.save_checkpoint(learner.state_dict())
+                if learner.done == learner.n_updates or time.monotonic() - saved >= SAVE_EVERY:
+                    folder.save_checkpoint(learner, events.flush())
+                    saved = time.monotonic()
                 bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
                 bar.update()
         except KeyboardInterrupt:
@@ -72,40 +160,51 @@ def run(options: RunOptions) -> Path:
             ) from None
         finally:
             bar.close()
-        finish(folder, writer, learner)
-        album.finish(folder.path)
-    history = learner.history
+        finish(folder, events, album)
     print(table(history))
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder.path}")
     return folder.path
 
 
-def finish(folder: RunFolder, writer: SummaryWriter, learner: Learner) -> None:
-    """Write results, policies, figures and hyper-parameters."""
+def finish(folder: RunFolder, events: Events, album: Album) -> None:
+    """Write policies, figures, film and hyper-parameters, and the results last: then the run is finished."""
+    learner = album.learner
     options, history = learner.options, learner.history
-    folder.write_results(results(options.task, options.to_json(), history))
     folder.save_policy(learner.policy.state_dict())
     for name, figure in figures.of_run(learner).items():
-        figure.savefig(folder.path / f"{name}.png", dpi=130)
-        writer.add_figure(name, figure, learner.n_updates)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=130)
+        write_atomically(folder.path / f"{name}.png", lambda stream, buffer=buffer: stream.write(buffer.getbuffer()))
+        events.figure(name, figure, learner.n_updates)
+    album.finish(folder.path)
     hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
-    writer.add_hparams(hparams, {"hparam/final_cost_median": median(history.cost[-1])}, run_name=".")
+    events.hyper_parameters(hparams, {"hparam/final_cost_median": median(history.cost[-1])})
+    events.flush()
+    folder.write_results(results(options.task, options.to_json(), history))
 
 
-def log(writer: SummaryWriter, learner: Learner, seconds: float) -> None:
+def log(events: Events, learner: Learner, seconds: float) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
-    history, update = learner.history, learner.done
-    for name, value in zip(("cost/total_q1", "cost/total", "cost/total_q3"), quartiles(history.cost[-1]), strict=True):
-        writer.add_scalar(name, value, update)
-    for name, values in history.terms.items():
-        writer.add_scalar(f"cost/{name}", median(values[-1]), update)
+    update = learner.done
+    log_costs(events, learner, update)
     if learner.path is not None:
         for tag, value in learner.task.diagnostics(learner.path).items():
-            writer.add_scalar(tag, value.median(), update)
-    writer.add_scalar("rollouts/total", history.rollouts[-1], update)
-    writer.add_scalar("rollouts/failed", history.failed[-1], update)
-    writer.add_scalar("rollouts/forward_equivalents", history.forward_equivalents[-1], update)
-    for tag, value in learner.searcher.scalars().items():
-        writer.add_scalar(tag, value, update)
+            events.scalar(tag, value.median(), update)
+    for tag, number in learner.searcher.scalars().items():
+        events.scalar(tag, number, update)
     if update:
-        writer.add_scalar("time/update_seconds", seconds, update)
+        events.scalar("time/update_seconds", seconds, update)
+
+
+def log_costs(events: Events, learner: Learner, update: int) -> None:
+    """Write what the history says of an update."""
+    history = learner.history
+    for name, value in zip(
+        ("cost/total_q1", "cost/total", "cost/total_q3"), quartiles(history.cost[update]), strict=True
+    ):
+        events.scalar(name, value, update)
+    for name, values in history.terms.items():
+        events.scalar(f"cost/{name}", median(values[update]), update)
+    events.scalar("rollouts/total", history.rollouts[update], update)
+    events.scalar("rollouts/failed", history.failed[update], update)
+    events.scalar("rollouts/forward_equivalents", history.forward_equivalents[update], update)

@@ -10,6 +10,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from torchds import files
 from torchds.errors import InvalidArgumentError
 from train.learning.run import run
 from train.options import options_for
@@ -75,12 +76,12 @@ def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one
         process.send_signal(signal.SIGKILL)
     (folder,) = (tmp_path / "killed" / "via_point" / "pibb").iterdir()
     assert not (folder / "results.json").exists(), "the run ended before it was killed"
-    saved = torch.load(folder / "checkpoint.pt", weights_only=True)
+    saved = files.load(folder / "checkpoint.pt", "checkpoint")["learner"]
     assert 1 < len(saved["history"]["cost"]) < 121
     subprocess.run([sys.executable, "-m", "train", "via_point", "--resume", str(folder)], check=True, **where)
     (whole,) = (tmp_path / "whole" / "via_point" / "pibb").iterdir()
     assert costs(folder) == costs(whole)
-    a, b = (torch.load(f / "policy.pt", weights_only=True) for f in (folder, whole))
+    a, b = (files.load(f / "policy.pt", "policy") for f in (folder, whole))
     assert all(torch.equal(a[name], b[name]) for name in a)
 
 

@@ -6,6 +6,7 @@ file of the same name in `measured/`.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from tqdm import tqdm
 import tasks
 import torchds
 import train
-from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.folder import Interrupted, versions, write_atomically, write_json
+from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
+from train.folder import Interrupted, make_folder, read_sealed, versions, write_sealed, write_text
+from train.options import check_seed
 from train.paper.claims import digging, impedance, noise, report, stable, via_points
 from train.paper.claims.base import Check, Claim
 from train.paper.measured.base import Setting
@@ -73,12 +75,13 @@ class Claims:
                 raise UnknownNameError("claim", name, CLAIMS)
         if self.runs < 1:
             raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
+        check_seed(self.seed)
         experiment = Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed)
         if self.digging:
             experiment.trials()
         setting = Setting(self.runs, self.seed, experiment)
         folder = self.logdir / "claims"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         rows = []
         with tqdm(self.only or tuple(CLAIMS), desc="claims", unit="claim", dynamic_ncols=True) as bar:
             try:
@@ -92,8 +95,8 @@ class Claims:
         report.write_csv(folder / "claims.csv", rows)
         page = report.page(rows, self.runs, self.command(*self.only))
         for path in (folder / "claims.md", *(() if self.keep is None else (self.keep,))):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, lambda temporary: temporary.write_text(page))
+            make_folder(path.parent)
+            write_text(path, page)
         print(report.terminal(rows, self.runs))
         print(f"claims.md and claims.csv in {folder}")
         return rows
@@ -103,10 +106,12 @@ class Claims:
         if not claim.simulated:
             return claim.measure(setting)
         path, key = folder / f"{claim.id}.json", {"runs": self.runs, "seed": self.seed, "source": source()}
-        kept = json.loads(path.read_text()) if path.is_file() else {}
+        kept = {}
+        with contextlib.suppress(FileError):  # not there, damaged, or of an older version: measured again
+            kept = read_sealed(path)
         if kept.get("key") != key:
             kept = {"key": key, "checks": [check._asdict() for check in claim.measure(setting)]}
-            write_json(path, kept)
+            write_sealed(path, kept)
         return [Check(**fields) for fields in kept["checks"]]
 
     def command(self, *names: str) -> str:

@@ -13,6 +13,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from torchds.errors import InvalidArgumentError
+from train.folder import make_folder, write_text
+from train.options import check_seed
 from train.paper.figures import digging, impedance, noise, stable, via_points
 from train.paper.figures.base import Made
 from train.paper.measured.digging import Experiment
@@ -61,20 +63,21 @@ class Figures:
         Raises:
             InvalidArgumentError: a number that is not among the figures.
         """
+        check_seed(self.seed)
         known = (*FIGURES, *DIGGING)
         if strangers := sorted(set(self.figure) - set(known)):
             raise InvalidArgumentError(
                 f"no figure {', '.join(map(str, strangers))}; there are {', '.join(map(str, known))}"
             )
         folder = self.logdir / "figures"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         print(f"figures in {folder}")
         for number in tqdm(self.figure, desc="figures", unit="figure", dynamic_ncols=True):
             made = self.digging(number) if number in DIGGING else FIGURES[number](self.runs, self.seed)
             made.figure.savefig(folder / f"figure-{number}.png", dpi=130)
             command = f"python -m train figures --figure {number} --runs {self.runs} --seed {self.seed}"
             text = f"# Figure {number}\n\n{made.caption.strip()}\n\nMade by `{command}`.\n"
-            (folder / f"figure-{number}.md").write_text(text)
+            write_text(folder / f"figure-{number}.md", text)
 
     def digging(self, number: int) -> Made:
         """A figure of the digging experiment, which is run as far as it is not there."""

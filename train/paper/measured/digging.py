@@ -5,7 +5,6 @@ Everything stands in one folder; what is there is not measured again, so that th
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,17 @@ from tqdm import tqdm
 
 import tasks
 from torchds import GMRPolicy
-from train.folder import OPTIONS, RESULTS, RunFolder, versions, write_json
+from train.folder import (
+    OPTIONS,
+    RESULTS,
+    RunFolder,
+    check_identity,
+    numbers,
+    read_sealed,
+    say_versions,
+    versions,
+    write_sealed,
+)
 from train.learning.learner import Learner
 from train.learning.run import run
 from train.options import LEARNERS, RunOptions, options_for
@@ -49,9 +58,19 @@ class Experiment:
         return RunFolder(self.folder / f"{SEARCHES[search]['optimizer']}-{start:g}")
 
     def recorded(self) -> dict[str, Terms]:
-        """The trials that are there."""
+        """The trials that are there.
+
+        Raises:
+            FileError: they are damaged, or were measured with other options.
+        """
         path = self.folder / TRIALS_FILE
-        return json.loads(path.read_text())["trials"] if path.is_file() else {}
+        if not path.is_file():
+            return {}
+        content = read_sealed(path, unsealed=("trials", "versions"))
+        if "options" in content:
+            check_identity(path, content, self.options)
+            say_versions(path, content["versions"])
+        return numbers(content["trials"])
 
     def finish(self, search: str, start: float) -> RunFolder:
         """Make, continue or find finished one learning run; returns its folder."""
@@ -61,6 +80,8 @@ class Experiment:
             folder.begin(options.task, options.to_json())
         if not folder.has(RESULTS):
             run(replace(options, resume=folder.path))
+        else:
+            check_identity(folder.path / RESULTS, folder.results(), options)
         return folder
 
     def learned(self, search: str, start: float) -> Learner:
@@ -72,6 +93,10 @@ class Experiment:
 
     def trials(self) -> dict[str, Terms]:
         """Costs of TRIALS trials `[TRIALS]` by term, "total" among them, of every uniform stiffness and learned policy."""
+        with RunFolder(self.folder).alone():
+            return self._trials()
+
+    def _trials(self) -> dict[str, Terms]:
         measured = self.recorded()
         runs = {f"{search}-{start:g}": (search, start) for search in SEARCHES for start in STARTS}
         wanted = [f"uniform-{s:g}" for s in UNIFORM] + list(runs)
@@ -81,7 +106,8 @@ class Experiment:
                 measured[name] = self.measure(start, self.learned(search, start).policy[0])
             else:
                 measured[name] = self.measure(float(name.removeprefix("uniform-")), None)
-            write_json(self.folder / TRIALS_FILE, {"trials": measured, "versions": versions()})
+            said = {"task": self.options.task, "options": self.options.to_json(), "versions": versions()}
+            write_sealed(self.folder / TRIALS_FILE, {**said, "trials": measured})
         return measured
 
     def measure(self, start: float, policy: GMRPolicy | None) -> Terms:
@@ -114,4 +140,4 @@ def curves(experiment: Experiment, start: float) -> dict[str, np.ndarray] | None
     folder = experiment.run_folder(PAPER, start)
     if not folder.has(RESULTS):
         return None
-    return {name: np.asarray(values)[:, 0] for name, values in folder.results()["terms"].items()}
+    return {name: np.asarray(values, dtype=float)[:, 0] for name, values in folder.results()["terms"].items()}
