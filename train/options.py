@@ -150,7 +150,7 @@ def fits(value: Any, kind: Any) -> bool:
         return any(fits(value, each) for each in get_args(kind))
     if get_origin(kind) is Literal:
         return any(value == each and type(value) is type(each) for each in get_args(kind))
-    plain = {bool: bool, int: int, float: (int, float), str: str, Path: str, NoneType: NoneType}
+    plain: dict[Any, Any] = {bool: bool, int: int, float: (int, float), str: str, Path: str, NoneType: NoneType}
     return kind not in plain or (isinstance(value, plain[kind]) and (kind is bool or not isinstance(value, bool)))
 
 

@@ -80,11 +80,13 @@ class Tell(InSession):
     missing: Literal["wait", "failed"] = "wait"
     """What to do about roll-outs that have not come back. wait: make no update before they are there. failed: count them as
     failed."""
+    force: bool = False
+    """Take recordings that do not look like the motions that were asked for."""
 
     def main(self) -> None:
         """Tell, and say what happened."""
         session = self.session()
-        told, status = session.tell(self.missing), session.status()
+        told, status = session.tell(self.missing, self.force), session.status()
         before = f"update {status.done} has been told already" if status.done else "nothing has been asked yet"
         print(f"{before}; nothing is changed" if told is None else told)
         print(status.next)

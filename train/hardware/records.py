@@ -47,6 +47,7 @@ class Told(NamedTuple):
         failed: roll-outs that failed.
         header: names of the columns of `rows`: the roll-out, its cost terms, cost, weight and state.
         rows: one for each roll-out.
+        notes: what is odd about the recordings.
     """
 
     update: int
@@ -54,11 +55,12 @@ class Told(NamedTuple):
     failed: int
     header: list[str]
     rows: list[list[int | float | str]]
+    notes: list[str] = []  # noqa: RUF012 (a default of a named tuple, which nobody changes)
 
     def __str__(self) -> str:
         bad = f", {self.failed} failed" if self.failed else ""
         made = f"update {self.update} of {self.n_updates} is made from {len(self.rows)} roll-outs{bad}"
-        return f"{made}\n{aligned(self.header, self.rows)}"
+        return "\n".join([made, *(f"note: {note}" for note in self.notes), aligned(self.header, self.rows)])
 
 
 class Status(NamedTuple):

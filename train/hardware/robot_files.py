@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -18,8 +19,9 @@ from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
 from torchds.errors import FileError
+from torchds.files import existing, reason
 from torchds.recordings import read_table
-from train.folder import write_atomically
+from train.folder import write_text
 
 POSE = ("x [m]", "z [m]", "angle [rad]")
 REFERENCE = ("time [s]", *POSE, "v_x [m/s]", "v_z [m/s]", "v_angle [rad/s]", "stiffness [N/m]")
@@ -31,6 +33,9 @@ MAX_GAP = 0.1
 """Longest time between two samples of a recording [s]; more is a recorder that dropped out."""
 START = (0.05, 0.05, 0.2)
 """How far from the first point of the reference a recording may start: x [m], z [m], angle [rad]."""
+
+FRESH, LOOK = 1.0, 0.2
+"""A file that was changed less than FRESH seconds ago is looked at again LOOK seconds later."""
 
 State = Literal["there", "failed", "missing"]
 
@@ -54,15 +59,18 @@ def control_times(n_steps: int, dt: float) -> np.ndarray:
 
 def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Write a table atomically; floats are read back bit for bit."""
-    lines = [",".join(header), *(",".join(map(str, row)) for row in rows)]
-    write_atomically(path, lambda temporary: temporary.write_text("\n".join(lines) + "\n"))
+    write_text(path, table_text(header, rows))
 
 
-def write_reference(path: Path, pose: Tensor, v: Tensor, stiffness: Tensor, dt: float) -> None:
-    """Write what a robot has to follow, T+1 rows; velocity and stiffness hold from their row to the next.
+def table_text(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table as a text."""
+    return "\n".join([",".join(header), *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def reference_text(pose: Tensor, v: Tensor, stiffness: Tensor, dt: float) -> str:
+    """What a robot has to follow as a table, T+1 rows; velocity and stiffness hold from their row to the next.
 
     Args:
-        path: the file.
         pose: `(T+1, 3)` x [m], z [m], angle [rad].
         v: `(T, 3)` its velocity [m/s, m/s, rad/s]; the last row says zero.
         stiffness: `(T,)` [N/m]; the last row says the last again.
@@ -70,7 +78,7 @@ def write_reference(path: Path, pose: Tensor, v: Tensor, stiffness: Tensor, dt: 
     """
     t = torch.from_numpy(control_times(len(stiffness), dt)).unsqueeze(-1)
     at_rest, held = torch.cat([v, torch.zeros_like(v[:1])]), torch.cat([stiffness, stiffness[-1:]]).unsqueeze(-1)
-    write_table(path, REFERENCE, torch.cat([t, pose, at_rest, held], -1).tolist())
+    return table_text(REFERENCE, torch.cat([t, pose, at_rest, held], -1).tolist())
 
 
 def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Recorded:
@@ -89,18 +97,9 @@ def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Record
         FileError: a file that is no table of finite numbers, columns that are not there or have another unit,
             times that do not increase, leave a gap, or do not cover the motion, or a start elsewhere.
     """
-    header, table = read_table(path)
-    needed = ("time [s]", *POSE, *FORCE)
-    if absent := [name for name in needed if name not in header and name != OPTIONAL]:
-        raise FileError(
-            f"{path}: no column {', '.join(map(repr, absent))}. The columns have to be {', '.join(needed)} ({OPTIONAL} may be "
-            f"left out), units included; the header says {', '.join(header)}."
-        )
-    columns = dict(zip(header, table.T, strict=True))
-    columns.setdefault(OPTIONAL, np.zeros(len(table)))
-    t, times = columns["time [s]"], control_times(n_steps, dt)
-    check_times(path, t, times)
-    pose, force = (np.stack([columns[name] for name in names], -1) for names in (POSE, FORCE))
+    t, pose, force = recorded_columns(path)
+    times = control_times(n_steps, dt)
+    check_times(path, t, times, clock_jump(t, pose))
     for name, measured, wanted, allowed in zip(POSE, pose[0], start.tolist(), START, strict=True):
         if abs(measured - wanted) > allowed:
             raise FileError(
@@ -111,6 +110,26 @@ def read_recording(path: Path, start: Tensor, n_steps: int, dt: float) -> Record
         torch.from_numpy(resample(t, pose, times, degree=3)),
         torch.from_numpy(resample(t, force, times, degree=1)[1:]),
     )
+
+
+def recorded_columns(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times `(samples,)`, poses `(samples, 3)` and forces `(samples, 3)` of a recording as they stand in the file.
+
+    Raises:
+        FileError: a file that is no table of finite numbers, that is half-written, or lacks columns.
+    """
+    check_whole(path)
+    header, table = read_table(path)
+    needed = ("time [s]", *POSE, *FORCE)
+    if absent := [name for name in needed if name not in header and name != OPTIONAL]:
+        raise FileError(
+            f"{path}: no column {', '.join(map(repr, absent))}. The columns have to be {', '.join(needed)} ({OPTIONAL} may be "
+            f"left out), units included; the header says {', '.join(header)}."
+        )
+    columns = dict(zip(header, table.T, strict=True))
+    columns.setdefault(OPTIONAL, np.zeros(len(table)))
+    pose, force = (np.stack([columns[name] for name in names], -1) for names in (POSE, FORCE))
+    return columns["time [s]"], pose, force
 
 
 def read_recordings(folder: Path, states: Sequence[State], start: Tensor, n_steps: int, dt: float) -> Recorded:
@@ -137,8 +156,52 @@ def read_recordings(folder: Path, states: Sequence[State], start: Tensor, n_step
     return Recorded(*(torch.stack(field) for field in zip(*recordings, strict=True)))
 
 
-def check_times(path: Path, t: np.ndarray, times: np.ndarray) -> None:
-    """Refuse sample times `t` that do not cover the motion at `times`.
+def check_whole(path: Path) -> None:
+    """Refuse a file from elsewhere that is half-written: a number that is cut in the middle is a number, too.
+
+    Raises:
+        FileError: its last line does not end.
+    """
+    if (text := existing(path).read_bytes()) and not text.endswith((b"\n", b"\r")):
+        raise FileError(
+            f"{path}: ends within a line, as a file does that is half-written; wait until it is whole, and end its last line "
+            "with a newline"
+        )
+
+
+def check_settled(paths: Sequence[Path]) -> None:
+    """Refuse files that somebody is writing now; where one was changed a moment ago, it is looked at twice.
+
+    Raises:
+        FileError: which one grows.
+    """
+
+    def look() -> list[tuple[int, int]]:
+        return [((stat := path.stat()).st_size, stat.st_mtime_ns) for path in paths]
+
+    before = look()
+    if all(abs(time.time_ns() - changed) > 1e9 * FRESH for _, changed in before):
+        return
+    time.sleep(LOOK)
+    for path, then, now in zip(paths, before, look(), strict=True):
+        if then != now:
+            raise FileError(f"{path}: somebody is writing it; tell again when it is whole")
+
+
+def clock_jump(t: np.ndarray, pose: np.ndarray) -> str:
+    """A jump of the clock in words: a long step of time in which the robot moved no further than in a short one."""
+    step, usual = np.diff(t), np.median(np.diff(t))
+    way = np.linalg.norm(np.diff(pose, axis=0) * (1.0, 1.0, 0.2), axis=1)
+    for i in np.flatnonzero(step > max(5 * usual, 0.02)):
+        around = np.r_[max(i - 5, 0) : i, i + 1 : min(i + 6, len(step))]
+        speed = np.median(way[around] / np.maximum(step[around], 1e-9))
+        if speed > 1e-3 and way[i] < 0.3 * speed * step[i]:
+            return f"the clock jumps by {step[i]:.3g} s at {t[i]:.4g} s, where samples are {usual:.3g} s apart"
+    return ""
+
+
+def check_times(path: Path, t: np.ndarray, times: np.ndarray, jump: str = "") -> None:
+    """Refuse sample times `t` that do not cover the motion at `times`; a `jump` of the clock is told with it.
 
     Raises:
         FileError: what is wrong with them.
@@ -151,12 +214,13 @@ def check_times(path: Path, t: np.ndarray, times: np.ndarray) -> None:
         at = int(steps.argmax())
         raise FileError(
             f"{path}: nothing between {t[at]:g} and {t[at + 1]:g} s. Samples have to be at most {MAX_GAP:g} s apart."
+            f"{jump and f' Or {jump}.'}"
         )
     slack = max(np.median(steps), times[1]) + 1e-9
     if abs(t[0]) > slack or abs(t[-1] - times[-1]) > slack:
         raise FileError(
             f"{path}: lasts from {t[0]:g} to {t[-1]:g} s, the motion from 0 to {times[-1]:g} s. They have to agree within one "
-            "sample: cut the recording, or mark the roll-out as failed if the robot stopped."
+            f"sample: cut the recording, or mark the roll-out as failed if the robot stopped.{jump and f' Or {jump}.'}"
         )
 
 
@@ -174,8 +238,12 @@ def read_costs(path: Path, n: int) -> dict[int, float]:
         FileError: another header, or a line that names no roll-out from 1 to n, names one again, or has no
             finite cost.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file) if line] or [[]]
+    check_whole(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file) if line] or [[]]
+    except (OSError, ValueError, csv.Error) as error:
+        raise FileError(f"{path}: not a text file of comma-separated values ({reason(error)})") from error
     if header != ["rollout", "cost"]:
         raise FileError(f"{path}: the header has to be rollout,cost, it is {','.join(header)!r}.")
     costs: dict[int, float] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,7 +45,12 @@ class History:
         """
         history = cls(**fields)
         n = len(history.cost)
-        columns = [history.rollouts, history.failed, history.forward_equivalents, *history.terms.values()]
+        columns: list[Sequence[Any]] = [
+            history.rollouts,
+            history.failed,
+            history.forward_equivalents,
+            *history.terms.values(),
+        ]
         costs = [row for rows in (history.cost, *history.terms.values()) for row in rows]
         if any(len(column) != n for column in columns) or any(len(row) != runs for row in costs):
             raise InvalidArgumentError(f"its history is not one of {runs} run(s): columns or lines are missing")

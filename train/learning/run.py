@@ -9,6 +9,7 @@ from collections.abc import Collection
 from dataclasses import fields, replace
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from tasks.loading import short
@@ -172,15 +173,20 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     options, history = learner.options, learner.history
     folder.save_policy(learner.policy.state_dict())
     for name, figure in figures.of_run(learner).items():
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=130)
-        write_atomically(folder.path / f"{name}.png", lambda stream, buffer=buffer: stream.write(buffer.getbuffer()))
+        save_figure(folder.path / f"{name}.png", figure)
         events.figure(name, figure, learner.n_updates)
     album.finish(folder.path)
     hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
     events.hyper_parameters(hparams, {"hparam/final_cost_median": median(history.cost[-1])})
     events.flush()
     folder.write_results(results(options.task, options.to_json(), history))
+
+
+def save_figure(path: Path, figure: Figure) -> None:
+    """Write a picture, whole or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=130)
+    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
 
 
 def log(events: Events, learner: Learner, seconds: float) -> None:

@@ -20,7 +20,7 @@ def write(path, t, pose, force):
 
 def test_a_reference_is_read_back_bit_for_bit(tmp_path, randn):
     pose, v, stiffness = randn(T + 1, 3), randn(T, 3), randn(T).abs()
-    robot_files.write_reference(robot_files.reference(tmp_path, 2), pose, v, stiffness, DT)
+    robot_files.reference(tmp_path, 2).write_text(robot_files.reference_text(pose, v, stiffness, DT))
     table = torch.from_numpy(np.loadtxt(tmp_path / "rollout-2.csv", delimiter=",", skiprows=1))
     assert torch.equal(table[:, 1:4], pose)
     assert torch.equal(table[:-1, 4:7], v) and (table[-1, 4:7] == 0).all()

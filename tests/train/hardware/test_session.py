@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from tasks.digging.simulation import Recording
+from torchds import files
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError, TorchdsError
-from train import folder as records
 from train.hardware.session import Session
 from train.learning.learner import Learner
 from train.options import options_for
@@ -51,6 +51,11 @@ def record(folder, k, t=None, shift=0.0):
     pose = np.stack([np.interp(t, table[:, 0], column) for column in table[:, 1:4].T], -1) + shift
     rows = np.column_stack([t, pose, np.zeros((len(t), 2))])
     np.savetxt(folder / f"recording-{k}.csv", rows, "%.17g", ",", header=HEADER, comments="")
+
+
+def cost_terms(session):
+    """The cost terms of what came back, while the policy does not carry its noise."""
+    return session.evidence(["there"] * N).terms(session.learner.policy)
 
 
 def test_the_references_are_what_the_policies_ask_for_digit_by_digit(session):
@@ -106,9 +111,9 @@ def test_a_partial_set_changes_nothing_until_the_rest_counts_as_failed(session, 
 def test_a_repeated_tell_says_so_and_changes_nothing(session, tmp_path):
     costs(session().update_folder, 1.0, 2.0, 3.0)
     session().tell()
-    before = {file: file.read_bytes() for file in tmp_path.rglob("*.*") if file.is_file()}
+    before = {file: file.read_bytes() for file in tmp_path.rglob("[!.]*.*") if file.is_file()}
     assert session().tell() is None
-    assert {file: file.read_bytes() for file in tmp_path.rglob("*.*") if file.is_file()} == before
+    assert {file: file.read_bytes() for file in tmp_path.rglob("[!.]*.*") if file.is_file()} == before
 
 
 def test_where_all_roll_outs_fail_the_policy_stays_and_other_ones_are_asked(session, tmp_path):
@@ -198,7 +203,7 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
                 move(source, target)
 
             with monkeypatch.context() as patch:
-                patch.setattr(records.os, "replace", write)
+                patch.setattr(files.os, "replace", write)
                 try:
                     return command()
                 except Killed:
@@ -210,18 +215,18 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
             do(lambda: Session.open(folder).ask())
             costs(folder / f"update-00{update}", 1.5, 0.5, 1.0)
             do(lambda: Session.open(folder).tell())
-        state = torch.load(folder / "session.pt", weights_only=True)
-        files = [
+        state = files.load(folder / "session.pt", "session")
+        texts = [
             (folder / name).read_text()
             for name in ("results.json", "update-002/rollout-2.csv", "update-002/outcome.csv")
         ]
-        return state, torch.load(folder / "policy.pt", weights_only=True), files
+        return state, files.load(folder / "policy.pt", "policy"), texts
 
-    whole, policy, files = learn(tmp_path / "whole", lambda command: command())
-    killed, policy_killed, files_killed = learn(tmp_path / "killed", insist)
-    # At the start results, policy and state; for each update these and the first reference, then outcome and these.
-    assert kills == 3 + 2 * (4 + 4)
-    assert files == files_killed
+    whole, policy, texts = learn(tmp_path / "whole", lambda command: command())
+    killed, policy_killed, texts_killed = learn(tmp_path / "killed", insist)
+    # At the start results, policy and state; for each update these, three references and their list, then outcome and these.
+    assert kills == 3 + 2 * (7 + 4)
+    assert texts == texts_killed
     assert same(killed, whole) and same(policy_killed, policy)
 
 
@@ -231,17 +236,19 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
         (lambda good: good.replace("x [m]", "x [mm]", 1), r"no column 'x \[m\]'.*the header says .*x \[mm\]"),
         (lambda good: good.replace(",force_z [N]", ",f", 1), r"no column 'force_z \[N\]'"),
         (lambda good: "\n".join(good.splitlines()[:100]) + "\n", r"lasts from 0 to 0\.392 s, the motion from 0 to 1 s"),
-        (lambda good: good + good.splitlines()[-1].replace("1,", "1.05,", 1), r"lasts from 0 to 1\.05 s"),
+        (lambda good: good + good.splitlines()[-1].replace("1,", "1.05,", 1) + "\n", r"lasts from 0 to 1\.05 s"),
         (lambda good: re.sub(r"\n0\.02,[^,]*", "\n0.02,nan", good), r"line 7, column 'x \[m\]': 'nan' is not a finite"),
         (lambda good: good.replace("\n0.02,", "\n0.03,"), r"the time has to increase, but 0\.024 s follows 0\.03 s"),
         (
-            lambda good: "\n".join(good.splitlines()[:50] + good.splitlines()[99:]),
+            lambda good: "\n".join([*good.splitlines()[:50], *good.splitlines()[99:], ""]),
             r"nothing between 0\.192 and 0\.392 s",
         ),
         (lambda good: "", "no header"),
-        (lambda good: good.splitlines()[0], "at least two samples are needed, got 0"),
+        (lambda good: good[:-1], "ends within a line, as a file does that is half-written"),
+        (lambda good: good[:-5] + "\n", "values under 6 column names|lasts from"),
+        (lambda good: good.splitlines()[0] + "\n", "at least two samples are needed, got 0"),
     ],
-    ids=["unit", "column", "short", "long", "nan", "time", "gap", "empty", "header alone"],
+    ids=["unit", "column", "short", "long", "nan", "time", "gap", "empty", "no newline", "cut", "header alone"],
 )
 def test_recordings_that_cannot_be_used_are_refused_and_change_nothing(file, words, session, tmp_path):
     folder, before = session().update_folder, (tmp_path / "s" / "session.pt").read_bytes()
@@ -286,7 +293,7 @@ def test_recordings_at_other_rates_give_the_costs_of_the_motion(session):
         fx, fy, fz = force(t).T
         rows = np.column_stack([t, motion(t), np.full(len(t), 293.0), fy, fx, fz])
         np.savetxt(folder / f"recording-{k}.csv", rows, "%.17g", ",", header=names, comments="")
-    terms = mine.measured(["there"] * N)()
+    terms = cost_terms(mine)
     t = np.arange(T + 1) / T
     pose, push = (torch.from_numpy(f(t)) for f in (motion, force))
     path, _, stiffness = mine.task.reference(mine.learner.initial)
@@ -303,12 +310,12 @@ def test_a_force_across_the_plane_is_zero_where_it_is_not_recorded_and_costs_whe
     folder = session().update_folder
     for k in (1, 2, 3):
         record(folder, k)
-    terms = session().measured(["there"] * N)()
+    terms = cost_terms(session())
     assert (terms["force"] == 0).all()
     text = (folder / "recording-2.csv").read_text().splitlines()
     lines = [f"{text[0]},force_y [N]", *(f"{line},10" for line in text[1:])]
-    (folder / "recording-2.csv").write_text("\n".join(lines))
-    after = session().measured(["there"] * N)()["force"][:, 0]
+    (folder / "recording-2.csv").write_text("\n".join(lines) + "\n")
+    after = cost_terms(session())["force"][:, 0]
     assert after.tolist() == pytest.approx([0.0, T * 2 * 1e-6 * 100, 0.0])
 
 
