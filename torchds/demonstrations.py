@@ -26,6 +26,7 @@ from torch import Tensor
 
 from torchds.arrays import Array, check_finite, check_labels, matching, per_demonstration, tensors
 from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError
+from torchds.files import write_npz
 from torchds.mending import Mending
 from torchds.preparation import Demonstration as Demonstration
 from torchds.preparation import gradient
@@ -202,14 +203,8 @@ class Demonstrations(Mending):
             for field, value in (("x", d.x), ("v", d.v), ("stiffness", d.stiffness)):
                 if value is not None:
                     arrays[f"demo{i}_{field}"] = value.numpy(force=True)
-        with Path(path).open("wb") as file:
-            np.savez(
-                file,
-                dt=np.array(self.dt),
-                names=np.array(self.names),
-                units=np.array(self.units),
-                **arrays,  # type: ignore[arg-type]  # numpy's stub lets allow_pickle clash with every keyword
-            )
+        said = {"dt": np.array(self.dt), "names": np.array(self.names), "units": np.array(self.units)}
+        write_npz(path, {**said, **arrays})
 
 
 def _span(values: Sequence[float]) -> str:

@@ -233,6 +233,17 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
         raise FileError(f"{path} is no readable .npz archive: {reason(error)}") from error
 
 
+def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write a NumPy archive that `read_npz` reads back exactly.
+
+    Raises:
+        FileError: see `write_atomically`.
+    """
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # numpy's stub lets allow_pickle clash with every keyword
+    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
+
+
 def _check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
     """Refuse an archive that would unpack to more than it can be meant to hold."""
     size = path.stat().st_size

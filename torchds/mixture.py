@@ -9,6 +9,7 @@ import math
 import warnings
 import zipfile
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError
+from torchds.files import write_npz
 
 if TYPE_CHECKING:
     import sklearn.mixture
@@ -147,7 +149,8 @@ class GaussianMixture:
     def save(self, path: str | PathLike[str]) -> None:
         """Write `priors`, `means` and `covariances` into an .npz file."""
         arrays = {name: getattr(self, name).detach().cpu().numpy() for name in ("priors", "means", "covariances")}
-        np.savez(path, **arrays)
+        path = Path(path)
+        write_npz(path if path.suffix == ".npz" else path.with_name(f"{path.name}.npz"), arrays)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> GaussianMixture:
