@@ -19,7 +19,7 @@ import pickle
 import secrets
 import struct
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -203,6 +203,35 @@ def read_json(path: str | Path) -> dict[str, Any]:
         raise FileError(f"{path} is not readable JSON: {reason(error)}") from error
     if not isinstance(content, dict):
         raise FileError(f"{path} holds a {type(content).__name__}, needed is an object with names")
+    return content
+
+
+def write_sealed(path: str | Path, content: Mapping[str, Any]) -> None:
+    """Write JSON with a digest of its content; what is not finite becomes null.
+
+    Raises:
+        FileError: see `write_atomically`.
+    """
+    content = json.loads(json.dumps(plain(content)))
+    write_json(path, {**content, "digest": digest(content)})
+
+
+def read_sealed(path: str | Path, unsealed: Iterable[str] = ()) -> dict[str, Any]:
+    """The content of what `write_sealed` wrote, without the digest.
+
+    Args:
+        path: of the file.
+        unsealed: names in a file of a version that wrote no digests; one that has no others is read as it is.
+
+    Raises:
+        FileError: there is no such file, it is damaged, or it was changed by hand.
+    """
+    content = read_json(path)
+    written = content.pop("digest", None)
+    if (written is not None or not content.keys() <= set(unsealed)) and written != digest(content):
+        raise FileError(
+            f"{path} is damaged, or was changed by hand: its content does not have the digest that was written with it"
+        )
     return content
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import sys
@@ -92,7 +91,7 @@ class RunFolder:
     def begin(self, task: str, options: dict[str, Any]) -> None:
         """Make the folder where it is missing, and write down what is to be run."""
         make_folder(self.path)
-        write_sealed(self.path / OPTIONS, {"task": task, "options": options, "versions": versions()})
+        files.write_sealed(self.path / OPTIONS, {"task": task, "options": options, "versions": versions()})
 
     def options(self) -> RunOptions:
         """Those that it was begun with.
@@ -103,7 +102,7 @@ class RunFolder:
         """
         self.require(OPTIONS)
         path = self.path / OPTIONS
-        content = read_sealed(path, unsealed=("task", "options"))
+        content = files.read_sealed(path, unsealed=("task", "options"))
         task, options = content.get("task"), content.get("options")
         if not isinstance(task, str) or not isinstance(options, dict):
             raise FileError(f"{path} holds no options of a run")
@@ -155,7 +154,7 @@ class RunFolder:
 
     def write_results(self, record: dict[str, Any]) -> None:
         """Write results.json."""
-        write_sealed(self.path / RESULTS, record)
+        files.write_sealed(self.path / RESULTS, record)
 
     def results(self) -> dict[str, Any]:
         """The content of results.json; costs that were not finite are NaN.
@@ -165,7 +164,7 @@ class RunFolder:
             FileError: the file is damaged, or not of a run.
         """
         self.require(RESULTS)
-        content = read_sealed(self.path / RESULTS, unsealed=RECORD)
+        content = files.read_sealed(self.path / RESULTS, unsealed=RECORD)
         if missing := [name for name in RECORD if name not in content]:
             raise FileError(
                 f"{self.path / RESULTS} is no result of a run of this version: no {', '.join(missing)} in it"
@@ -246,7 +245,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-# ------------------------------------------------------------------ folders, and JSON with a digest
+# ------------------------------------------------------------------ folders and texts
 
 
 def make_folder(path: Path) -> None:
@@ -279,31 +278,6 @@ def new_folder(parent: Path, ending: str = "") -> Path:
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     files.write_atomically(path, lambda stream: stream.write(text.encode()))
-
-
-def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON with a digest of its content; what is not finite becomes null."""
-    content = json.loads(json.dumps(files.plain(content)))
-    files.write_json(path, {**content, "digest": files.digest(content)})
-
-
-def read_sealed(path: Path, unsealed: Iterable[str] = ()) -> dict[str, Any]:
-    """The content of what `write_sealed` wrote, without the digest.
-
-    Args:
-        path: of the file.
-        unsealed: names in a file of a version that wrote no digests; one that has no others is read as it is.
-
-    Raises:
-        FileError: there is no such file, it is damaged, or it was changed by hand.
-    """
-    content = files.read_json(path)
-    written = content.pop("digest", None)
-    if (written is not None or not content.keys() <= set(unsealed)) and written != files.digest(content):
-        raise FileError(
-            f"{path} is damaged, or was changed by hand: its content does not have the digest that was written with it"
-        )
-    return content
 
 
 def numbers(value: Any) -> Any:

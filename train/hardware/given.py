@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from torchds.errors import FileError, InvalidArgumentError
-from torchds.files import digest, reason
-from train.folder import CHECKPOINT, OPTIONS, make_folder, read_sealed, write_sealed, write_text
+from torchds.files import digest, read_sealed, reason, write_sealed
+from train.folder import CHECKPOINT, OPTIONS, make_folder, write_text
 from train.hardware.records import hint
 from train.hardware.robot_files import COSTS
 

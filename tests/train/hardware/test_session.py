@@ -224,9 +224,9 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
 
     whole, policy, texts = learn(tmp_path / "whole", lambda command: command())
     killed, policy_killed, texts_killed = learn(tmp_path / "killed", insist)
-    # At the start demonstrations, mixture, results, policy and state; for each update the last three, three references and
-    # their list, then outcome and the three again: (3 + 3 + 1) + (1 + 3).
-    assert kills == 5 + 2 * (7 + 4)
+    # At the start demonstrations, mixture, results, policy and state; for each update the last three and the first reference,
+    # since those that are there stay, then outcome and the three again.
+    assert kills == 5 + 2 * (4 + 4)
     assert texts == texts_killed
     assert same(killed, whole) and same(policy_killed, policy)
 

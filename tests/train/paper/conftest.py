@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from train.folder import RunFolder
+from train.learning.history import History, results
 from train.paper.measured.digging import UNIFORM, Experiment
 
 
@@ -34,5 +36,6 @@ def dug(tmp_path):
     folder = experiment.run_folder("as in the paper", 400).path
     folder.mkdir()
     gravel = [[g] for g in (-2.0, -1.5, -1.2, -1.4, -1.9, -2.1)]
-    (folder / "results.json").write_text(json.dumps({"terms": {"gravel": gravel}}))
+    history = History([0] * 6, gravel, {"gravel": gravel}, [0] * 6, [0] * 6)
+    RunFolder(folder).write_results(results("lwr_digging", {}, history))
     return experiment

@@ -19,7 +19,8 @@ import tasks
 import torchds
 import train
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
-from train.folder import Interrupted, make_folder, read_sealed, versions, write_sealed, write_text
+from torchds.files import read_sealed, write_sealed
+from train.folder import Interrupted, make_folder, versions, write_text
 from train.options import check_seed
 from train.paper.claims import digging, impedance, noise, report, stable, via_points
 from train.paper.claims.base import Check, Claim

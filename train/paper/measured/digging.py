@@ -15,17 +15,8 @@ from tqdm import tqdm
 
 import tasks
 from torchds import GMRPolicy
-from train.folder import (
-    OPTIONS,
-    RESULTS,
-    RunFolder,
-    check_identity,
-    numbers,
-    read_sealed,
-    say_versions,
-    versions,
-    write_sealed,
-)
+from torchds.files import read_sealed, write_sealed
+from train.folder import OPTIONS, RESULTS, RunFolder, check_identity, numbers, say_versions, versions
 from train.learning.learner import Learner
 from train.learning.run import run
 from train.options import LEARNERS, RunOptions, options_for
