@@ -14,6 +14,7 @@ import numpy as np
 import tasks.digging
 from tasks.digging import gravel
 from tasks.digging.gravel import COARSE
+from torchds.files import load
 
 
 def test_grains_are_numbered_by_their_place():
@@ -31,15 +32,19 @@ def test_a_bed_is_settled_once(monkeypatch):
     np.testing.assert_array_equal(gravel.bed(COARSE), bed)
     with pytest.raises(AssertionError, match="settled again"):
         gravel.bed(gravel.Gravel(n_grains=100, radius=(0.009, 0.014), seed=1))
-    assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".npy"]
+    assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".pt"]
 
 
 def test_a_broken_or_forbidden_cache_costs_only_time(tmp_path, monkeypatch):
     bed = gravel.bed(COARSE)
     (file,) = (path for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name)
-    file.write_bytes(b"half a file")
-    np.testing.assert_array_equal(gravel.bed(COARSE), bed)
-    np.testing.assert_array_equal(np.load(file), bed)
+    whole = file.read_bytes()
+    moved = bytearray(whole)
+    moved[whole.index(bed[3, 0].tobytes()) + 6] ^= 1  # one grain
+    for damaged in (b"half a file", bytes(moved), whole[:-200]):
+        file.write_bytes(damaged)
+        np.testing.assert_array_equal(gravel.bed(COARSE), bed)
+        np.testing.assert_array_equal(load(file, "bed of gravel")["places"].numpy(), bed)
     (tmp_path / "torchds").write_text("a file where the folder should be")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     np.testing.assert_array_equal(gravel.bed(COARSE), bed)
