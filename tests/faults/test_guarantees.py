@@ -53,6 +53,7 @@ def drawn(generator, policy, n):
     return [torch.randn(n, *p.shape, generator=generator, dtype=p.dtype) for p in policy.parameters()]
 
 
+@pytest.mark.slow
 @fuzz(
     usual=60,
     seed=st.integers(0, 2**31),

@@ -22,6 +22,7 @@ def run(code):
     return subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True).stdout
 
 
+@pytest.mark.slow
 def test_importing_the_library_imports_nothing_heavy():
     loaded = run("import sys, torchds; print(*{name.split('.')[0] for name in sys.modules})").split()
     assert "torch" in loaded and "numpy" in loaded

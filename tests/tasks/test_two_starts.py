@@ -28,6 +28,7 @@ def via(x, points):
 # ------------------------------------------------------------------ as printed
 
 
+@pytest.mark.slow
 def test_cost_terms_are_those_of_equation_40():
     task = tasks.make("two_starts")
     policy = vary(task.policy(), 3, 0.05)
@@ -83,6 +84,7 @@ def test_the_scene_shows_what_the_task_is_about():
     assert [points.tolist() for points in scene.via_points.values()] == [[list(p) for p in s] for s in (LEFT, RIGHT)]
 
 
+@pytest.mark.slow
 def test_with_the_papers_settings_20_runs_learn_and_the_two_sides_part():
     """Section 3.3 and appendix A.2: 200 updates of 20 roll-outs."""
     task, n = tasks.make("two_starts"), 20

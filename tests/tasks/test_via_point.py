@@ -28,6 +28,7 @@ def learn(task, n_runs, seed):
         return tasks.base.total(task.evaluate(policy)[1].values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "initial", "bound"), [("N", 3.1, 0.20), ("P", 4.4, 0.60)])
 def test_with_the_papers_settings_the_median_of_20_runs_passes_the_via_points(shape, initial, bound):
     task = tasks.make("via_point", shape=shape)

@@ -103,6 +103,7 @@ def simulate(control, q, reference, stiffness, seconds, dt, force=(0.0, 0.0, 0.0
     return torch.stack(path), torch.from_numpy(first)
 
 
+@pytest.mark.slow
 def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
     """Λ ë + D ė + K e = 0 solved by the generalised eigenvectors of (K, Λ): each mode is (1 + ω t) exp(−ω t)."""
     control = CartesianImpedance(chain, start)
@@ -123,6 +124,7 @@ def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
     assert float(error[-1].norm() / error[0].norm()) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [150.0, 450.0])
 def test_a_constant_force_displaces_by_force_over_stiffness(chain, start, stiffness):
     control = CartesianImpedance(chain, start)

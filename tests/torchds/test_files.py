@@ -159,6 +159,7 @@ def test_json_that_is_none_is_refused(tmp_path, text):
         files.read_json(tmp_path / "bad.json")
 
 
+@pytest.mark.slow
 def test_arrays_come_back_and_damaged_or_absurd_ones_do_not(tmp_path):
     path = tmp_path / "a.npz"
     np.savez_compressed(path, x=np.arange(1000.0))

@@ -35,6 +35,7 @@ def error(fit, demos):
 # ---------------------------------------------------------------------- what a fit promises
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("condition", "bound"), [("none", 5.0), ("seds", 5.8), ("p-qlf", 5.5)])
 def test_a_fit_is_close_to_the_demonstrations(fitted, angle, condition, bound):
     """In mm/s, at a mean speed of 33; the mixture that the fits start from, which is not stable, has 3.9."""
@@ -68,6 +69,7 @@ def test_every_start_ends_at_the_goal(fitted, condition):
     assert (path.x[..., -1, :] - fit.goal).norm(dim=-1).max() < 1.0  # mm
 
 
+@pytest.mark.slow
 def test_a_fit_is_an_ordinary_policy_in_the_units_of_the_data(fitted, angle):
     policy = fitted["p-qlf"].policy
     assert policy.batch_shape == ()
@@ -78,6 +80,7 @@ def test_a_fit_is_an_ordinary_policy_in_the_units_of_the_data(fitted, angle):
     assert error(metres, angle.scale(1e-3)) == pytest.approx(1e-3 * error(fitted["p-qlf"], angle), rel=0.02)
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_fits_and_other_seeds_other_ones(fitted, angle):
     again = fit_stable(angle, n_components=5, n_steps=250)
     assert torch.equal(again.policy.A, fitted["p-qlf"].policy.A)
@@ -85,6 +88,7 @@ def test_equal_seeds_give_equal_fits_and_other_seeds_other_ones(fitted, angle):
     assert not torch.allclose(other.policy.means, again.policy.means)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["none", "seds", "p-qlf"])
 def test_the_likelihood_is_an_objective_too(angle, condition):
     first, last = (fit_stable(angle, 4, condition, "likelihood", n_steps=n) for n in (10, 200))
@@ -106,6 +110,7 @@ def test_the_goal_is_where_the_demonstrations_end_or_where_one_says(angle, fitte
     assert fit.policy(goal.double()).abs().max() < 1e-10
 
 
+@pytest.mark.slow
 def test_a_fit_moves_with_its_demonstrations(angle, fitted):
     shift = torch.tensor([200.0, -100.0], dtype=torch.float64)
     moved = Demonstrations([demo.x + shift for demo in angle], [demo.v for demo in angle], dt=angle.dt)
@@ -117,6 +122,7 @@ def test_a_fit_moves_with_its_demonstrations(angle, fitted):
 # ---------------------------------------------------------------------- batches
 
 
+@pytest.mark.slow
 def test_a_batch_of_motions_and_numbers_of_components_equals_single_fits(angle):
     """Up to the order of sums in float32, which steps of Adam make larger."""
     shorter = motion("Sine", 2)  # fewer samples: its fit is padded in both ways
@@ -141,6 +147,7 @@ def test_a_batch_of_one_keeps_its_batch(angle):
     assert fit.loss.shape == fit.n_components.shape == (1,)
 
 
+@pytest.mark.slow
 def test_fits_may_share_a_start(angle, fitted):
     start = fit_mixtures(angle, 5)
     assert start.batch_shape == ()

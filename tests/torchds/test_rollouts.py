@@ -260,6 +260,7 @@ def test_each_start_may_have_a_shift_of_its_own(random_policy, randn):
         assert_close(together.x[:, j], alone.x, **CLOSE)
 
 
+@pytest.mark.slow
 def test_a_motion_follows_its_moving_target():
     """ẋ = −(x − c t) lags c behind c t: x = c (t − 1 + e^{−t})."""
     policy, c, times = linear([[-1.0, 0.0], [0.0, -1.0]], [0.0, 0.0]), tensor(0.5, -0.2), []

@@ -128,6 +128,7 @@ def test_the_eigenvalue_differentiates(randn):
 # ---------------------------------------------------------------------- what the set is for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighted", [False, True])
 def test_the_lyapunov_function_falls_along_every_motion_and_as_fast_as_the_margin_says(randn, weighted):
     D, K, margin, dt = 3, 5, 0.5, 1e-3

@@ -186,6 +186,7 @@ def test_a_motion_differentiates_through_bounds_and_limits(form, rows):
     )
 
 
+@pytest.mark.slow
 @FORMS
 def test_gradients_find_the_stiffness_behind_a_motion(form):
     """The field pushes; how far the mass gives way says how stiff it was held."""

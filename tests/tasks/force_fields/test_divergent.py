@@ -176,6 +176,7 @@ def test_via_points_are_reached_at_a_lower_stiffness_in_every_run():
     assert (final() < tasks.base.total(before.values()).numpy()).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", ["motion", "stiffness"])
 def test_motion_and_stiffness_together_are_better_than_either_alone(alone):
     learner, _, _ = learned(learn=alone)
@@ -185,6 +186,7 @@ def test_motion_and_stiffness_together_are_better_than_either_alone(alone):
     assert scipy.stats.mannwhitneyu(final(), final(learn=alone), alternative="less").pvalue < 0.01
 
 
+@pytest.mark.slow
 def test_the_recommended_learner_needs_400_rollouts_for_what_takes_the_paper_1000():
     recommended = {"exploration": "trajectory", "optimizer": "surrogate"}
     assert np.median(final(40, **recommended)) <= np.median(final())

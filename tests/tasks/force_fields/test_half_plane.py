@@ -154,6 +154,7 @@ def final_cost(n_updates, **options):
     return tasks.base.total(learner.evaluate().values()).numpy()
 
 
+@pytest.mark.slow
 def test_a_stiffness_of_each_axis_ends_below_the_same_for_both():
     """Fig. 14, right."""
     assert learned().history.rollouts[-1] == 1000
@@ -182,6 +183,7 @@ def test_the_stiffness_cost_first_rises_and_then_falls():
     assert curve[-1] < 0.9 * curve[peak]
 
 
+@pytest.mark.slow
 def test_the_recommended_learner_needs_400_rollouts_for_what_takes_the_paper_1000():
     recommended = {"exploration": "trajectory", "optimizer": "surrogate"}
     along, history = np.median(final_cost(40, **recommended)), learned().history

@@ -74,6 +74,7 @@ CASES = {
 # ------------------------------------------------------------------ the promise
 
 
+@pytest.mark.slow
 @many
 @given(shrink=st.sampled_from(["all", "direction"]), eta=st.sampled_from(["closed", "stepped"]), **CASES)
 def test_every_sample_is_stable_with_the_margin(seed, D, K, batch, metric, std, shrink, eta):
@@ -113,6 +114,7 @@ def test_no_update_leaves_the_set_even_where_instability_is_rewarded(elite, shri
         assert (policy.A - start).diagonal(dim1=-2, dim2=-1).sum(-1).mean() > 0  # it went where it was pulled
 
 
+@pytest.mark.slow
 def test_a_goal_stays_a_fixed_point_over_many_updates():
     """Round-off of b + A x* is taken back at every update, so that it does not grow with their number."""
     policy, goal, _ = make_case(1, 3, 5, (4,))
@@ -127,6 +129,7 @@ def test_a_goal_stays_a_fixed_point_over_many_updates():
 # ------------------------------------------------------------------ the closed form
 
 
+@pytest.mark.slow
 @many
 @given(margin=st.sampled_from([0.0, 0.02]), **CASES)
 def test_the_closed_form_is_the_largest_eta(seed, D, K, batch, metric, std, margin):
@@ -165,6 +168,7 @@ def test_the_largest_step_puts_an_eigenvalue_on_the_boundary():
     assert Stable.shrinkage(a, s, margin=0.9) == 0.0
 
 
+@pytest.mark.slow
 @many
 @given(**CASES)
 def test_the_stepped_factor_is_the_first_that_passes_the_papers_loop(seed, D, K, batch, metric, std):
@@ -193,6 +197,7 @@ def test_the_stepped_factor_is_the_first_that_passes_the_papers_loop(seed, D, K,
 # ------------------------------------------------------------------ shrinking a direction
 
 
+@pytest.mark.slow
 @many
 @given(**CASES)
 def test_shrinking_a_direction_gives_the_nearest_stable_slopes(seed, D, K, batch, metric, std):

@@ -25,6 +25,7 @@ def rows(folder, name):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_every_fit_has_its_row_and_the_means_are_those_of_the_fits(folder):
     fits, by_method, by_motion = (rows(folder, name) for name in ("fits", "by_method", "by_motion"))
     assert [(row["method"], row["motion"]) for row in fits] == [(m, n) for m in FITS for n in ("Worm", "Line")]

@@ -50,6 +50,7 @@ def straight(sideways):
     return Split([], [], x[None, None], torch.zeros(1, 1, 500, 2).double(), torch.zeros(2, 1, 2).double())
 
 
+@pytest.mark.slow
 def test_a_field_that_made_the_demonstration_reproduces_it():
     """Euler steps of 0.01 s of v = −x are the factors 0.99 that the demonstration is made of; both ends stand out."""
     measured = reproduce(field(-1.0), straight(0.0))
