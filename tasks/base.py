@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tasks.imitation import without_stiffness
 from tasks.settings import Convention, Motion, Scene, SearchSettings
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
 from torchds.plants import Plant
@@ -120,7 +121,7 @@ class Task(ABC):
     def policy(self) -> GMRPolicy:
         """A new policy as learned from the demonstrations: position in, as many velocities out."""
         D = self.source.dim if self.source is not None else self.mixture.means.shape[-1] // 2
-        return GMRPolicy.from_mixture(self.mixture.marginal(0, 2 * D), input_dim=D)
+        return without_stiffness(self.mixture, D, D, "this task learns no stiffness")
 
     def motion(self) -> Motion:
         """Where the reference motion begins, and for how long it goes on: as the longest demonstration, from the mean start."""

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from tasks.base import Task
+from tasks.imitation import without_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, costs, fit_stable
 from torchds.errors import InvalidArgumentError
@@ -116,7 +117,7 @@ class ConstrainedReaching(Task):
     def policy(self) -> GMRPolicy:
         """The imitated detour."""
         if self.given_mixture is not None:
-            return GMRPolicy.from_mixture(self.given_mixture.marginal(0, 4), input_dim=2)
+            return without_stiffness(self.given_mixture, 2, 2, "this task learns no stiffness")
         return copy.deepcopy(self.stable_fit.policy)
 
     def motion(self) -> Motion:

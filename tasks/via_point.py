@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from tasks.base import Task
+from tasks.imitation import without_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, costs, load_lasa
 from torchds.errors import InvalidArgumentError
@@ -88,7 +89,7 @@ class ViaPoint(Task):
 
     def policy(self) -> GMRPolicy:
         """The imitated letter."""
-        return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), input_dim=2)
+        return without_stiffness(self.mixture, 2, 2, "this task learns no stiffness")
 
     def motion(self) -> Motion:
         """The motion from the one start."""

@@ -99,7 +99,7 @@ class Demonstrations(Mending):
                         f"demonstration {i}: v has to have the shape {tuple(x_i.shape)} of x, got {tuple(v_i.shape)}; give one "
                         "velocity per position, or leave v out and it is taken from the positions"
                     )
-            check_finite(velocities, [f"velocity of {name}" for name in self._names])
+        check_finite(velocities, [f"velocity of {name}" for name in self._names])
         rows: Sequence[Tensor | None] = [None] * len(positions)
         if stiffness is not None:
             rows = columns = matching("stiffness", stiffness, positions)

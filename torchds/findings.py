@@ -179,7 +179,7 @@ def _rests(i: int, recording: Recording, names: Sequence[str]) -> Iterator[Findi
 
 def _velocities(i: int, recording: Recording, names: Sequence[str]) -> Iterator[Finding]:
     x, v = recording.x, recording.v
-    if v is None or len(x) < 4:
+    if v is None or len(x) < 4 or jumps(x):
         return
     derivative = (x[2:] - x[:-2]) / (2 * recording.dt)
     stored = v[1:-1]

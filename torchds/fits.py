@@ -115,6 +115,8 @@ def fit_stable(
             raise InvalidArgumentError(f"{option} has to be finite and ≥ 0, got {value}")
     if n_steps < 10:
         raise InvalidArgumentError(f"n_steps has to be at least 10, got {n_steps}")
+    for motion in sequence(demos):
+        motion.check().warn(stacklevel=4)  # past the decorator
     samples = Samples.of(sequence(demos), goal)
     batch, D = samples.x.shape[0], samples.x.shape[-1]
     if start is None:
@@ -135,7 +137,7 @@ def fit_stable(
     ).float()
     x, v, weight = samples.x.float(), samples.v.float(), samples.weight.float()
     width = spread * torch.tanh(x.norm(dim=-1, keepdim=True) / TAPER)
-    generator = torch.Generator().manual_seed(0)
+    noise = Noise((weight > 0).sum(-1).tolist())
 
     def losses(points: Tensor) -> Tensor:
         likelihood = objective == "likelihood"
@@ -146,9 +148,7 @@ def fit_stable(
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, lr, total_steps=n_steps, pct_start=0.2)
     for _ in range(n_steps):
         optimizer.zero_grad()
-        # The same for all: a fit does not depend on its batch.
-        jitter = torch.randn(x.shape[1:], generator=generator, dtype=x.dtype)
-        torch.autograd.backward(losses(x + width * jitter).sum())
+        torch.autograd.backward(losses(x + width * noise.like(x)).sum())
         optimizer.step()
         schedule.step()
     with torch.no_grad():
@@ -156,12 +156,35 @@ def fit_stable(
         return _result(model.double(), samples, loss, single=isinstance(demos, Demonstrations))
 
 
+class Noise:
+    """Unit normals for a batch of motions, the same for all of one length, so that a fit does not depend on its batch.
+
+    Args:
+        lengths: numbers of samples of the motions.
+    """
+
+    def __init__(self, lengths: Sequence[int]) -> None:
+        self.lengths = lengths
+        self.generators = {n: torch.Generator().manual_seed(0) for n in lengths}
+
+    def like(self, x: Tensor) -> Tensor:
+        """New ones in the shape of `x` `(B, N, D)`, zero for the padding."""
+        drawn = {
+            n: torch.nn.functional.pad(
+                torch.randn(n, x.shape[-1], generator=generator, dtype=x.dtype), (0, 0, 0, x.shape[1] - n)
+            )
+            for n, generator in self.generators.items()
+        }
+        return torch.stack([drawn[n] for n in self.lengths])
+
+
 def _regress(start: GaussianMixture, samples: Samples, ridge: float = 1e-3) -> Tensor:
     """Slopes (B, K, D, D) of the least squares through the goal, weighted by the gating that the fit starts with."""
     x, v, D = samples.x, samples.v, samples.x.shape[-1]
     weight = start.marginal(0, D).component_log_prob(x).softmax(-1) * samples.weight.unsqueeze(-1)  # (B, N, K)
     weighted = weight.mT.unsqueeze(-1) * x.unsqueeze(1)  # (B, K, N, D)
-    damping = ridge / start.n_components * torch.eye(D, dtype=x.dtype)
+    K = (start.priors > 0).sum(-1)  # of each motion: padding is no component
+    damping = (ridge / K)[:, None, None, None] * torch.eye(D, dtype=x.dtype)
     slopes: Tensor = torch.linalg.solve(weighted.mT @ x.unsqueeze(1) + damping, weighted.mT @ v.unsqueeze(1)).mT
     return slopes
 
@@ -178,8 +201,7 @@ def _initial_metric(samples: Samples) -> Tensor:
 
     The mean positive part of the cosine of P x and v is minimised from several random starts; the best of them is kept.
     """
-    stride = max(samples.x.shape[1] // METRIC_SAMPLES, 1)
-    x, v = samples.x[:, ::stride], samples.v[:, ::stride]
+    x, v, count = _thinned(samples)
     v = v / v.norm(dim=-1, keepdim=True).clamp(min=1e-9)
     B, _, D = x.shape
     generator = torch.Generator().manual_seed(0)
@@ -194,7 +216,7 @@ def _initial_metric(samples: Samples) -> Tensor:
     def rise() -> Tensor:
         gradient = x @ metric()  # (starts, B, N, D)
         cosine: Tensor = (gradient * v).sum(-1) / gradient.norm(dim=-1).clamp(min=1e-9)
-        return cosine.clamp(min=0).mean(-1) + 1e-3 * raw.square().mean((-2, -1))
+        return cosine.clamp(min=0).sum(-1) / count + 1e-3 * raw.square().mean((-2, -1))
 
     optimizer = torch.optim.Adam([raw], lr=0.2, betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 0.2, total_steps=METRIC_STEPS, pct_start=0.2)
@@ -206,6 +228,18 @@ def _initial_metric(samples: Samples) -> Tensor:
     with torch.no_grad():
         P = metric()[rise().argmin(0), torch.arange(B)]
         return P * (D / P.diagonal(dim1=-2, dim2=-1).sum(-1))[:, None, None]
+
+
+def _thinned(samples: Samples) -> tuple[Tensor, Tensor, Tensor]:
+    """Every n-th sample of each motion, by its own length: x and v (B, M, D), padded by zeros, and their numbers (B,)."""
+    parts = []
+    for x, v, weight in zip(samples.x, samples.v, samples.weight, strict=True):
+        n = int((weight > 0).sum())
+        stride = max(n // METRIC_SAMPLES, 1)
+        parts.append((x[:n:stride], v[:n:stride]))
+    pad = torch.nn.utils.rnn.pad_sequence
+    x, v = (pad(list(part), batch_first=True) for part in zip(*parts, strict=True))
+    return x, v, torch.tensor([len(part) for part, _ in parts], dtype=x.dtype)
 
 
 def _result(model: TrainableMixture, samples: Samples, loss: Tensor, single: bool) -> StableFit:

@@ -21,6 +21,7 @@ from torchds.errors import DemonstrationWarning, InvalidArgumentError, InvalidDe
 from torchds.preparation import Demonstration, Preparation
 
 Duplicates = Literal["refuse", "drop"]
+MOST_SAMPLES = 1_000_000  # of one demonstration; more is a mistaken time step
 GAP = 3.0  # usual time steps, from which on missing samples are spoken of
 
 
@@ -51,7 +52,8 @@ class Mending(Preparation):
             positions: `(T, D)` of each.
             velocities: `(T, D)` of each [position unit/s]; None for the derivatives of the splines.
             stiffness: `(T, Q)` of each [N/m], interpolated linearly; None without.
-            dt: time step of the result [s]; None for the median of each demonstration's own.
+            dt: time step of the result [s], up to what makes first and last sample stay; None for the median of each
+                demonstration's own.
             duplicates: what becomes of samples whose time is that of the one before: "refuse" them, or "drop" them.
             names: one for each dimension.
             units: of the positions, one for all dimensions or one for each.
@@ -206,12 +208,16 @@ def resample(
     if len(t) < 4:
         raise InvalidDemonstrationsError(f"demonstration {i} has {len(t)} samples, a cubic spline needs at least four")
     steps = np.diff(t)
+    span = float(t[-1] - t[0])
     step = float(np.median(steps)) if dt is None else dt
-    n = max(round((t[-1] - t[0]) / step) + 1, 2)
-    even = np.linspace(t[0], t[-1], n)
-    report = Resampled(len(t), n, steps.min(), steps.max(), (t[-1] - t[0]) / (n - 1))
+    if not span / step < MOST_SAMPLES:
+        raise InvalidArgumentError(
+            f"dt has to give demonstration {i}, which lasts {span:g} s, at most {MOST_SAMPLES} samples, got {step:g} s"
+        )
+    n = max(round(span / step) + 1, 2)
+    report = Resampled(len(t), n, steps.min(), steps.max(), span / (n - 1))
     spline = CubicSpline(t - t[0], x.numpy(force=True))
-    at = even - t[0]
+    at = np.linspace(t[0], t[-1], n) - t[0]
     velocity = spline(at, 1) if v is None else CubicSpline(t - t[0], v.numpy(force=True))(at)
     s = None
     if stiffness is not None:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _ALIASES = {"mu": "means", "sigma": "covariances"}
 _ARRAYS = {prefix + name for prefix in ("", "gmm_") for name in ("priors", "means", "covariances", "mu", "sigma")}
 
+FLOOR = 1e-6  # of covariances, as a share of the data's variance
+
 
 class Conditional(NamedTuple):
     """The mixture p(y | x) that a joint mixture becomes once part of its variables is known (Eq. 1).
@@ -182,7 +184,7 @@ class GaussianMixture:
         n_components: int | Literal["bic"],
         *,
         input_dim: int | None = None,
-        covariance_floor: float = 1e-6,
+        covariance_floor: float | None = None,
         n_init: int = 5,
         tol: float = 1e-6,
         max_components: int = 10,
@@ -195,7 +197,10 @@ class GaussianMixture:
             n_components: the number K of Gaussians, or "bic" for the number in 1..max_components with the smallest
                 Bayesian information criterion among those that fit.
             input_dim: how many of the demonstrated positions enter (Eq. 36 leaves the angle out); None for all.
-            covariance_floor: added to the diagonal of each covariance in every M-step, in the data's units squared.
+            covariance_floor: added to the diagonal of each covariance in every M-step, in the data's units squared. None for a
+                millionth of the data's own variance: the mean over the positions for the positions, over the velocities for
+                these, over the stiffness for this; over all variables of bare samples. EM then sees each in units of its
+                spread, so that a fit depends neither on the unit of length nor on that of time.
             n_init: k-means initialisations, of which the likeliest fit is kept.
             tol: EM stops when the mean log-likelihood of a sample gains less.
             max_components: the largest K that "bic" tries.
@@ -207,13 +212,15 @@ class GaussianMixture:
             InvalidArgumentError: an argument out of its range.
         """
         y = joint_samples(data, input_dim)
+        if not isinstance(data, Tensor):
+            data.check().warn()
         if isinstance(n_components, str) and n_components != "bic":
             raise InvalidArgumentError(f"n_components has to be a number or 'bic', got {n_components!r}")
         if isinstance(n_components, int) and n_components < 1:
             raise InvalidArgumentError(f"n_components has to be at least 1, got {n_components}")
         if max_components < 1:
             raise InvalidArgumentError(f"max_components has to be at least 1, got {max_components}")
-        if not covariance_floor > 0:
+        if covariance_floor is not None and not covariance_floor > 0:
             raise InvalidArgumentError(f"covariance_floor has to be positive, got {covariance_floor}")
         if len(y) < 2:
             raise DegenerateMixtureError(f"samples have to be at least 2, got {len(y)}; record more samples")
@@ -229,16 +236,21 @@ class GaussianMixture:
                 f"n_components has to be at most the number of distinct samples, {n_distinct} among {len(y)}, got "
                 f"{n_components}; record more samples or choose n_components ≤ {n_distinct}"
             )
+        scale, floor = (
+            (_spread(data, y), FLOOR) if covariance_floor is None else (np.ones(y.shape[1]), covariance_floor)
+        )
+        y = y / scale
         candidates = range(1, min(max_components, n_distinct) + 1) if n_components == "bic" else [n_components]
         fits: list[sklearn.mixture.GaussianMixture] = []
         for K in candidates:
             try:
-                fits.append(_expectation_maximisation(y, K, covariance_floor, n_init, tol, seed))
+                fits.append(_expectation_maximisation(y, K, floor, n_init, tol, seed))
             except DegenerateMixtureError:
                 if not fits and candidates[-1] == K:  # none at all
                     raise
         best = min(fits, key=lambda fit: fit.bic(y)) if len(fits) > 1 else fits[0]
-        return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in (best.weights_, best.means_, best.covariances_)))
+        arrays = best.weights_, best.means_ * scale, best.covariances_ * np.outer(scale, scale)
+        return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in arrays))
 
 
 def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -> np.ndarray:
@@ -252,6 +264,23 @@ def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -
         raise InvalidArgumentError(f"input_dim has to be between 1 and the {x.shape[-1]} positions, got {input_dim}")
     columns = [x[:, :input_dim], v] + ([stiffness] if stiffness is not None else [])
     return torch.cat(columns, -1).cpu().numpy().astype(np.float64)
+
+
+def _spread(data: Demonstrations | Tensor, y: np.ndarray) -> np.ndarray:
+    """The standard deviation `(F,)` of each variable of `y` `(M, F)`, one for all variables of one unit."""
+    variance = y.var(0)
+    if isinstance(data, Tensor):
+        sizes = [len(variance)]
+    else:
+        Q = 0 if data[0].stiffness is None else data[0].stiffness.shape[1]
+        sizes = [len(variance) - data.dim - Q, data.dim, Q]
+    parts = [
+        np.full(len(part), np.sqrt(part.mean()) if len(part) else 1.0)
+        for part in np.split(variance, np.cumsum(sizes)[:-1])
+    ]
+    scale = np.concatenate(parts)
+    constant = np.where(y[0] == 0, 1.0, np.abs(y[0]))  # any floor of its size
+    return np.where(scale > 0, scale, constant).clip(min=1e-140)  # its square is a number still
 
 
 def _expectation_maximisation(

@@ -45,6 +45,8 @@ def fit_mixtures(
     Raises:
         InvalidArgumentError, DegenerateMixtureError: as `fit_stable`.
     """
+    for motion in sequence(demos):
+        motion.check().warn()
     fits = fit_batch(sequence(demos), n_components, goal, seed, max_components)
     if isinstance(demos, Demonstrations):
         return GaussianMixture(fits.priors[0], fits.means[0], fits.covariances[0])

@@ -15,8 +15,9 @@ from tasks.digging.demonstrate import FOLDER
 from tasks.digging.gravel import COARSE, Gravel
 from tasks.digging.simulation import Recording, dig
 from tasks.digging.worlds import Worlds
+from tasks.imitation import with_stiffness
 from tasks.lwr_digging import HIGH, LOW, SECONDS, DiggingOptions
-from tasks.settings import Motion, Scene
+from tasks.settings import PAPER_FLOOR, Motion, Scene
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout
 from torchds.errors import InvalidArgumentError
 
@@ -79,17 +80,17 @@ class LwrDigging(DiggingOptions):
 
     def default_demonstrations(self) -> Demonstrations:
         """Five motions in soil of 12.5 to 14.5 s (see `tasks.digging.demonstrate`), faster for a shorter task."""
-        soil = load_csv(FOLDER, names=("x", "z", "angle"), units=("m", "m", "rad"))
+        soil = load_csv(FOLDER, positions=("x", "z", "angle"), units=("m", "m", "rad"))
         faster = [dt * self.seconds / SECONDS for dt in soil.dt]
         return Demonstrations([d.x for d in soil], dt=faster, names=soil.names, units=soil.units)
 
     def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
         """Four Gaussians over position, velocity and angular rate."""
-        return GaussianMixture.fit(demonstrations, N_COMPONENTS, input_dim=2)
+        return GaussianMixture.fit(demonstrations, N_COMPONENTS, input_dim=2, covariance_floor=PAPER_FLOOR)
 
     def policy(self) -> GMRPolicy:
-        """The imitated motion with the uniform stiffness s⁰."""
-        return GMRPolicy.from_mixture(self.mixture.marginal(0, 5), 2, stiffness_dim=1, stiffness=self.initial_stiffness)
+        """The imitated motion with the stiffness that was demonstrated, or else the uniform s⁰."""
+        return with_stiffness(self.mixture, 2, 3, 1, self.initial_stiffness)
 
     def motion(self) -> Motion:
         """The motion from the one start."""

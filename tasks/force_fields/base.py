@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from tasks.base import Task
+from tasks.imitation import with_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, costs
 from torchds.errors import InvalidArgumentError
@@ -78,8 +79,9 @@ class ArchTask(Task):
     """Pass through via-points with a compliant point mass in a force field, at a low stiffness (Eq. 49, 51).
 
     A unit point mass with unit damping tracks the reference under the implicit impedance controller of Eq. 33. The policy
-    gives velocity and stiffness; the demonstrations say nothing about the stiffness, so it begins as the constant s⁰. The
-    cost is that of the actual motion and of the stiffness as applied, between 0.1 and 1000 N/m.
+    gives velocity and stiffness; the task's own demonstrations say nothing about the stiffness, so it begins as the constant
+    s⁰; that of given ones, or of a given mixture, is taken. The cost is that of the actual motion and of the stiffness as
+    applied, between 0.1 and 1000 N/m.
 
     Raises:
         InvalidArgumentError: an unknown kind of stiffness.
@@ -93,7 +95,7 @@ class ArchTask(Task):
     high: ClassVar[float] = HIGH
 
     initial_stiffness: float = 20.0
-    """Constant stiffness before learning, s⁰ [N/m]."""
+    """Constant stiffness before learning, s⁰ [N/m], where none was demonstrated."""
     stiffness: Literal["diagonal", "isotropic"] = "diagonal"
     """A stiffness for each axis, or one for both."""
 
@@ -114,9 +116,13 @@ class ArchTask(Task):
         return arch_demonstrations(self.bias)
 
     def policy(self) -> GMRPolicy:
-        """The imitated motion with the constant stiffness s⁰, in place of stiffness variables that a mixture may have."""
-        Q = 2 if self.stiffness == "diagonal" else 1
-        return GMRPolicy.from_mixture(self.mixture.marginal(0, 4), 2, stiffness_dim=Q, stiffness=self.initial_stiffness)
+        """The imitated motion with the stiffness that was demonstrated (Eq. 34), or else the constant s⁰."""
+        return with_stiffness(self.mixture, 2, 2, self.stiffness_dim, self.initial_stiffness)
+
+    @property
+    def stiffness_dim(self) -> int:
+        """Q, one for each axis or one for both."""
+        return 2 if self.stiffness == "diagonal" else 1
 
     def motion(self) -> Motion:
         """The motion from the one start."""

@@ -11,8 +11,9 @@ from torch import Tensor
 from tasks.force_fields.base import ArchTask, Setup
 from tasks.force_fields.divergent import GAIN, DivergentField, nearest
 from tasks.force_fields.half_plane import HalfPlaneForce
+from tasks.imitation import say_left_out, with_stiffness
 from tasks.released.base import RELEASED_SEARCH, Released
-from torchds import Rollout
+from torchds import GMRPolicy, Rollout
 from torchds.plants import Force
 
 VIA_POINTS = ((-7.5, -1.0), (-5.0, 0.0), (-2.5, 1.0), (-1.25, 0.5))
@@ -40,6 +41,11 @@ class ReleasedArch(Released, ArchTask):
     search = SEARCH
     form = "explicit"
     low, high = 0.0, math.inf
+
+    def policy(self) -> GMRPolicy:
+        """The imitated motion with the constant stiffness s⁰, as the program begins whatever its mixture carries."""
+        say_left_out(self.mixture, 4, "the released program begins with the constant initial_stiffness")
+        return with_stiffness(self.mixture.marginal(0, 4), 2, 2, self.stiffness_dim, self.initial_stiffness)
 
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
         """|a_j|², and the sum of both axes' stiffness, `(*batch, *points, T)`."""

@@ -6,7 +6,7 @@ from torch.testing import assert_close
 
 import torchds
 from torchds import Demonstrations, fit_mixtures, fit_stable, metrics, rollout
-from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.errors import DemonstrationWarning, InvalidArgumentError, UnknownNameError
 
 
 def motion(name, n_demos=3):
@@ -136,8 +136,24 @@ def test_a_batch_of_motions_and_numbers_of_components_equals_single_fits(angle):
         alone = fit_stable(demos, K, seed=seed, n_steps=60)
         x = demos.stacked().x
         assert float(together.loss[i]) == pytest.approx(float(alone.loss), rel=0.02)
-        if i != 1:  # the jitter of a padded fit is drawn for more samples
-            assert_close(together.policy[i](x), alone.policy(x), rtol=0.05, atol=0.5)
+        assert_close(together.policy[i](x), alone.policy(x), rtol=0.05, atol=0.5)
+
+
+@pytest.mark.slow
+def test_a_fit_does_not_depend_on_a_longer_motion_beside_it():
+    """Its jitter and the metric that it starts from are drawn and averaged over its own samples, not over the padding."""
+    worm, longer = motion("Worm"), torchds.load_lasa("Angle").every(8)
+    assert len(longer.stacked().x) > 2 * len(worm.stacked().x)
+    alone, beside = fit_stable(worm, 4), fit_stable([worm, longer], [4, 6])
+    for ours, theirs in ((alone.policy.A, beside.policy.A[0, :4]), (alone.P, beside.P[0])):
+        assert_close(theirs, ours, rtol=1e-3, atol=1e-3 * float(ours.detach().abs().max()))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e9])
+def test_a_fit_does_not_depend_on_the_unit_of_length(angle, scale):
+    ours, theirs = (fit_stable(demos, 3, n_steps=20) for demos in (angle, angle.scale(scale)))
+    assert_close(theirs.policy.A.data, ours.policy.A.data, rtol=1e-3, atol=1e-3)
+    assert_close(theirs.goal / scale, ours.goal)
 
 
 def test_a_batch_of_one_keeps_its_batch(angle):
@@ -168,6 +184,20 @@ def test_three_dimensions(randn):
     fit = fit_stable(demos, 4, n_steps=150)
     assert fit.certificate().stable
     assert error(fit, demos) < 0.25 * float(demos.stacked().v.square().mean().sqrt())
+
+
+# ---------------------------------------------------------------------- suspicious motions
+
+
+@pytest.mark.parametrize("fit", [lambda demos: fit_stable(demos, 2, n_steps=10), lambda demos: fit_mixtures(demos, 2)])
+def test_a_fit_says_what_is_suspicious_about_its_motions(angle, fit):
+    backward = Demonstrations([d.x for d in angle], [-d.v for d in angle], dt=angle.dt)
+    with pytest.warns(DemonstrationWarning) as said:
+        fit(backward)
+    texts = [str(warning.message) for warning in said]
+    assert len(texts) == len(angle)
+    assert all("[velocity sign]. Call differentiate()" in text for text in texts)
+    assert all(warning.filename == __file__ for warning in said)
 
 
 # ---------------------------------------------------------------------- refusals

@@ -8,8 +8,8 @@ import sklearn.mixture
 import torch
 from torch.testing import assert_close
 
-from torchds import Demonstrations, GaussianMixture, GMRPolicy
-from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, load_lasa
+from torchds.errors import DegenerateMixtureError, DemonstrationWarning, FileError, InvalidArgumentError
 
 AXIS = np.linspace(-25, 25, 1001)  # sums over it integrate Gaussians of unit scale to rounding errors
 STEP = AXIS[1] - AXIS[0]
@@ -269,6 +269,42 @@ def test_demonstrations_are_fitted_over_position_velocity_and_stiffness(randn):
             GaussianMixture.fit(demos, 1, input_dim=input_dim)
 
 
+MOTIONS = ["Angle", "BendedLine", "CShape", "GShape", "heee", "JShape", "Khamesh", "NShape", "Sine", "Worm"]
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_mixture_does_not_depend_on_the_units_of_length_and_time(name):
+    """The field A_k, b_k of ten motions at 1e-9 to 1e9 of their size, and a thousand times as slow."""
+    demos = load_lasa(name, 3).every(20)
+    x = demos.stacked().x
+    field = GMRPolicy.from_mixture(GaussianMixture.fit(demos, 4, n_init=1), 2)(x)
+    for scale in (1e-9, 1e-3, 1e9):
+        other = GMRPolicy.from_mixture(GaussianMixture.fit(demos.scale(scale), 4, n_init=1), 2)(scale * x)
+        assert_close(other / scale, field, rtol=1e-4, atol=1e-4 * float(field.detach().abs().max()))
+    slow = Demonstrations([d.x for d in demos], [d.v / 1e3 for d in demos], dt=[1e3 * d.dt for d in demos])
+    other = GMRPolicy.from_mixture(GaussianMixture.fit(slow, 4, n_init=1), 2)(x)
+    assert_close(1e3 * other, field, rtol=1e-4, atol=1e-4 * float(field.detach().abs().max()))
+
+
+def test_a_constant_axis_or_a_large_stiffness_swallows_no_motion(randn):
+    """Floors are shares of the positions, of the velocities and of the stiffness, each for itself."""
+    t = torch.linspace(0, 1, 80, dtype=torch.float64)
+    x = torch.stack([0.004 * torch.sin(2 * t), 0.004 * t**2, 0 * t], -1)
+    s = 1e5 * torch.stack([1 + t], -1)
+    demos = Demonstrations([x], dt=1 / 79, stiffness=[s])
+    policy = GMRPolicy.from_mixture(GaussianMixture.fit(demos, 4), 3, stiffness_dim=1)
+    v = policy(x).detach()[:, :3]
+    assert float((v - demos[0].v).norm() / demos[0].v.norm()) < 0.1
+
+
+def test_suspicious_demonstrations_are_named_by_the_fit():
+    t = torch.linspace(0, 1, 50, dtype=torch.float64)
+    demos = Demonstrations([torch.stack([t, t**2], -1)], [torch.stack([-1 + 0 * t, -2 * t], -1)], dt=1 / 49)
+    with pytest.warns(DemonstrationWarning, match="velocity sign") as said:
+        GaussianMixture.fit(demos, 2)
+    assert said[0].filename == __file__
+
+
 @pytest.mark.parametrize(
     ("n_components", "options", "message"),
     [
@@ -306,6 +342,7 @@ FITTED = {
     "tiny": lambda y: 1e-8 * y,
     "tiniest": lambda y: 1e-200 * y,
     "huge": lambda y: 1e8 * y,
+    "collinear and huge": lambda y: 1e8 * torch.linspace(0, 1, 60, dtype=y.dtype)[:, None] * y[0],
     "far away": lambda y: y + 1e8,
     "integers": lambda y: (3 * y).round().int(),
 }
@@ -333,7 +370,6 @@ REFUSED = {
         "2 among 60, got 3; record more samples or choose n_comp",
     ),
     "all constant": (lambda y: torch.ones_like(y), "1 among 60, got 3; record more samples or choose n_components ≤ 1"),
-    "collinear and huge": (lambda y: 1e8 * FITTED["collinear"](y), "raise the floor or take fewer components"),
 }
 
 
@@ -359,8 +395,10 @@ def test_degenerate_samples_that_cannot_be_fitted_are_refused_with_a_way_out(ran
         GaussianMixture.fit(make(randn(60, 4)), 3)
 
 
-def test_a_larger_floor_is_the_way_out_that_the_refusal_names(randn):
-    y = REFUSED["collinear and huge"][0](randn(60, 4))
+def test_a_floor_that_rounding_swallows_is_refused_and_a_larger_one_is_the_way_out(randn):
+    y = FITTED["collinear and huge"](randn(60, 4))
+    with pytest.raises(DegenerateMixtureError, match="raise the floor or take fewer components"):
+        GaussianMixture.fit(y, 3, covariance_floor=1e-6)
     policy = GMRPolicy.from_mixture(GaussianMixture.fit(y, 3, covariance_floor=1e6), 2)
     assert_close(policy(y[:, :2]), y[:, 2:], rtol=0, atol=1e-6 * y.abs().max().item())
 

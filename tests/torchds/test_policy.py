@@ -393,8 +393,9 @@ def test_demonstrations_are_fitted_and_conditioned(randn):
     x, v, s = [randn(40, 2)], [randn(40, 2)], [randn(40, 1)]
     demos = Demonstrations(x, dt=0.1, v=v, stiffness=s)
     samples = torch.cat([x[0], v[0], s[0]], -1)
-    expected = GMRPolicy.from_mixture(GaussianMixture.fit(samples, 2, tol=1e-2, seed=1), 2, stiffness_dim=1)
-    policy = GMRPolicy.from_demonstrations(demos, 2, tol=1e-2, seed=1)
+    options = {"covariance_floor": 1e-6, "tol": 1e-2, "seed": 1}  # None is relative to what each column is
+    expected = GMRPolicy.from_mixture(GaussianMixture.fit(samples, 2, **options), 2, stiffness_dim=1)
+    policy = GMRPolicy.from_demonstrations(demos, 2, **options)
     assert policy.stiffness_dim == 1
     assert torch.equal(policy.pack(), expected.pack())
     # one component is linear regression

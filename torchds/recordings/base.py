@@ -1,4 +1,4 @@
-"""What all files of demonstrations have in common: names of fields, time steps, and the way into `Demonstrations`.
+"""What all files of demonstrations have in common: names of fields, clocks, and the way into `Demonstrations`.
 
 Stability: experimental.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -14,9 +15,10 @@ import numpy as np
 
 from torchds.arrays import per_demonstration
 from torchds.demonstrations import Demonstrations
-from torchds.errors import FileError, InvalidDemonstrationsError
-
-Record = Mapping[str, np.ndarray]  # what one demonstration has of x, v, stiffness (T, .), t (T,) [s] and dt () [s]
+from torchds.errors import DemonstrationWarning, FileError, InvalidDemonstrationsError
+from torchds.recordings.clock import even_step
+from torchds.recordings.parts import Record, fitted_step, rows, without_padding
+from torchds.recordings.reading import Reading
 
 ALIASES = {
     "x": ("positions", "position", "pos", "x"),
@@ -25,18 +27,6 @@ ALIASES = {
     "t": ("time", "t"),
     "dt": ("dt",),
 }
-
-
-def existing(path: str | Path) -> Path:
-    """The path of a file that is there.
-
-    Raises:
-        FileError: there is none.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise FileError(f"{path}: no such file (looked in {path.resolve().parent})")
-    return path
 
 
 def group(keys: Iterable[str]) -> list[dict[str, str]]:
@@ -57,7 +47,7 @@ def group(keys: Iterable[str]) -> list[dict[str, str]]:
     return []
 
 
-def canonical(record: Record) -> Record:
+def canonical(record: Mapping[str, np.ndarray]) -> Record:
     """The fields of a record under the names x, v, stiffness, t, dt; others are dropped."""
     lowered = {key.lower(): value for key, value in record.items()}
     found = {field: [a for a in aliases if a in lowered] for field, aliases in ALIASES.items()}
@@ -65,41 +55,119 @@ def canonical(record: Record) -> Record:
 
 
 def from_records(
-    source: Path | Sequence[Path],
+    source: Path,
     records: Sequence[Record],
+    how: Reading,
     *,
+    places: Sequence[str] | None = None,
     shared: np.ndarray | None = None,
-    dt: float | Sequence[float] | None,
-    names: Sequence[str] | None,
-    units: str | Sequence[str] | None,
+    names: Sequence[str] | None = None,
+    units: str | Sequence[str] | None = None,
 ) -> Demonstrations:
-    """Demonstrations of records from one file, or from one file each; `shared` is a time step for the whole file."""
+    """Demonstrations of records with times in seconds, checked: what is suspicious about them is said as warnings.
+
+    Args:
+        source: the file or folder.
+        records: one for each demonstration.
+        how: arguments of the reader.
+        places: where each record stands, for messages.
+        shared: a time step for the whole file.
+        names: of the dimensions in the file.
+        units: of the positions in the file.
+    """
     n = len(records)
-
-    def where(i: int) -> str:
-        return f"{source}: demonstration {i}" if isinstance(source, Path) else str(source[i])
-
+    where = [f"{source}: demonstration {i}" for i in range(n)] if places is None else places
     for field in ("x", "v", "stiffness"):
         missing = [i for i, record in enumerate(records) if field not in record]
         if missing and (field == "x" or len(missing) < n):
             what = {"x": "positions", "v": "velocities"}.get(field, field)
-            raise FileError(f"{where(missing[0])} has no {what}; give them in all demonstrations, or in none")
+            raise FileError(f"{where[missing[0]]} has no {what}; give them in all demonstrations, or in none")
+    for place, record in zip(where, records, strict=True):
+        _check_arrays(place, record)
+    dt = how.get("dt")
     given = [None] * n if dt is None else per_demonstration("dt", dt, n)
     common = [None] * n if shared is None else per_demonstration(f"{source}: dt", shared, n, FileError)
-    steps = [_time_step(where(i), record, common[i], given[i]) for i, record in enumerate(records)]
-    cut = [_without_last(record) for record in records]
+    names = how.get("names") if how.get("names") is not None else names
+    units = how.get("units") if how.get("units") is not None else units
+    cut = [without_padding(place, _without_last(record)) for place, record in zip(where, records, strict=True)]
     try:
-        return Demonstrations(
-            [record["x"] for record in cut],
-            [record["v"] for record in cut] if "v" in cut[0] else None,
-            steps,
-            stiffness=[record["stiffness"] for record in cut] if "stiffness" in cut[0] else None,
-            names=names,
-            units=units,
-        )
+        if how.get("resample"):
+            demos = _resampled(where, cut, how, names, units)
+        else:
+            if how.get("duplicates") == "drop":
+                cut = [_rising(place, record) for place, record in zip(where, cut, strict=True)]
+            steps = [_time_step(*parts) for parts in zip(where, cut, common, given, strict=True)]
+            demos = Demonstrations(
+                [record["x"] for record in cut],
+                [record["v"] for record in cut] if "v" in cut[0] else None,
+                steps,
+                stiffness=[record["stiffness"] for record in cut] if "stiffness" in cut[0] else None,
+                names=names,
+                units=units,
+            )
     except InvalidDemonstrationsError as error:
-        files = source if isinstance(source, Path) else ", ".join(map(str, source))
-        raise FileError(f"{files}: {error}") from error
+        raise FileError(f"{source}: {' '.join(str(error).split())}") from error
+    demos.check().warn(stacklevel=4)
+    return demos
+
+
+def _check_arrays(where: str, record: Record) -> None:
+    """Refuse arrays that are no numbers, and positions that are no matrix."""
+    for field, what in (("x", "positions"), ("v", "velocities"), ("stiffness", "stiffness"), ("t", "time stamps")):
+        if field in record and record[field].dtype.kind not in "fiub":
+            raise FileError(f"{where}: {what} have to be real numbers, got {record[field].dtype}")
+    if record["x"].ndim != 2 or 0 in record["x"].shape:
+        raise FileError(
+            f"{where}: positions have to be (T, D), samples in rows and dimensions in columns, got shape {record['x'].shape}"
+        )
+
+
+def _resampled(
+    where: Sequence[str],
+    records: Sequence[Record],
+    how: Reading,
+    names: Sequence[str] | None,
+    units: str | Sequence[str] | None,
+) -> Demonstrations:
+    """The records at equal time steps; rows in which something is missing are left out before and bridged by the splines."""
+    whole = []
+    for place, record in zip(where, records, strict=True):
+        if "t" not in record:
+            raise FileError(
+                f"{place} has no time to resample by; say which column it is, time=, or leave out resample="
+            )
+        n = len(record["x"])
+        if wrong := [key for key in ("v", "stiffness", "t") if key in record and np.shape(record[key])[:1] != (n,)]:
+            raise FileError(
+                f"{place}: {wrong[0]} has to have the {n} rows of x, got shape {np.shape(record[wrong[0]])}"
+            )
+        fields = [record[key].reshape(n, -1) for key in ("x", "v", "stiffness", "t") if key in record]
+        there = np.logical_and.reduce([np.isfinite(field.astype(float)).all(-1) for field in fields])
+        if not there.all():
+            _say(f"{place}: {int((~there).sum())} row(s) in which something is missing are bridged")
+        whole.append(rows(record, there))
+    step = how.get("resample")
+    return Demonstrations.from_samples(
+        [record["t"] for record in whole],
+        [record["x"] for record in whole],
+        [record["v"] for record in whole] if "v" in whole[0] else None,
+        stiffness=[record["stiffness"] for record in whole] if "stiffness" in whole[0] else None,
+        dt=None if isinstance(step, bool) else step,
+        duplicates=how.get("duplicates", "refuse"),
+        names=names,
+        units=units,
+    )
+
+
+def _rising(where: str, record: Record) -> Record:
+    """The record without samples whose time is not after all earlier ones."""
+    if "t" not in record or record["t"].shape != (len(record["x"]),):
+        return record
+    t = record["t"]
+    keep = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    if not keep.all():
+        _say(f"{where}: {int((~keep).sum())} sample(s) whose time does not rise are dropped")
+    return rows(record, keep)
 
 
 def _without_last(record: Record) -> Record:
@@ -108,7 +176,7 @@ def _without_last(record: Record) -> Record:
     if "v" not in record or len(np.atleast_1d(record["v"])) != n - 1:
         return record
     return {
-        key: value[:-1] if key != "v" and value.ndim == 2 and len(value) == n else value
+        key: value[:-1] if key not in ("v", "dt") and value.ndim and len(value) == n else value
         for key, value in record.items()
     }
 
@@ -119,15 +187,13 @@ def _time_step(where: str, record: Record, common: float | None, given: float | 
     if "dt" in record:
         (found["dt"],) = per_demonstration(f"{where}: dt", record["dt"], 1, FileError)
     if "t" in record:
-        found["its time stamps"] = _uniform_step(
-            where, np.ravel(record["t"]).astype(float), len(np.atleast_1d(record["x"]))
-        )
+        found["its time stamps"] = even_step(where, np.ravel(record["t"]), len(np.atleast_1d(record["x"])))
     if not found and common is not None:
         found["the file's dt"] = common
     if given is not None:
         found["the argument dt"] = given
     if not found:
-        raise FileError(f"{where} has no time step; pass dt= in seconds")
+        raise FileError(f"{where} has no time step; pass dt= in seconds{_suggested(record)}")
     (first, step), *others = found.items()
     for name, other in others:
         if not math.isclose(step, other, rel_tol=1e-3):
@@ -137,20 +203,13 @@ def _time_step(where: str, record: Record, common: float | None, given: float | 
     return step
 
 
-def _uniform_step(where: str, t: np.ndarray, n_samples: int) -> float:
-    """The time step of time stamps (T,) that are equally spaced."""
-    if len(t) != n_samples:
-        raise FileError(f"{where}: time stamps have to be one for each of the {n_samples} positions, got {len(t)}")
-    if len(t) < 2:
-        raise FileError(f"{where} has to have at least two samples, got {len(t)}; leave it out")
-    steps = np.diff(t)
-    usual = np.median(steps)
-    bad = np.flatnonzero(~((np.abs(steps - usual) <= 1e-3 * usual) & (usual > 0)))
-    if len(bad):
-        row = int(bad[0])
-        raise FileError(
-            f"{where}: the time steps have to be equal: from row {row} to row {row + 1} (counted from 0) time goes from "
-            f"{t[row]:.6g} to {t[row + 1]:.6g} s where {usual:.6g} s is usual; resample the recording to equal time "
-            "steps, or remove its time and pass dt="
-        )
-    return float((t[-1] - t[0]) / (len(t) - 1))
+def _suggested(record: Record) -> str:
+    """The time step under which the velocities would be the derivative of the positions, in words."""
+    x, v = record["x"], record.get("v")
+    numbers = v is not None and x.ndim == 2 and v.shape == x.shape and x.dtype.kind == v.dtype.kind == "f"
+    step = fitted_step(x, v) if v is not None and numbers else None
+    return "" if step is None else f"; its velocities fit dt={step:.3g}"
+
+
+def _say(text: str) -> None:
+    warnings.warn(text, DemonstrationWarning, stacklevel=2)

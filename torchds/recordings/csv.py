@@ -1,115 +1,217 @@
-"""Comma-separated files of demonstrations.
+"""Tables of demonstrations in text files.
 
 Stability: stable.
 """
 
 from __future__ import annotations
 
-import csv
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Unpack
 
 import numpy as np
 
 from torchds.demonstrations import Demonstrations
-from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
-from torchds.recordings.base import Record, existing, from_records
+from torchds.errors import DemonstrationWarning, FileError, InvalidArgumentError
+from torchds.files import existing
+from torchds.recordings.base import from_records
+from torchds.recordings.clock import seconds
+from torchds.recordings.columns import Named, named, time_unit
+from torchds.recordings.layout import Layout, layout
+from torchds.recordings.parts import Record, by_number, split
+from torchds.recordings.reading import ARRAYS, Reading, check, said
+from torchds.recordings.text import Text, is_missing, is_number, read_text
+
+WANTED = ("time", "position", "velocity", "stiffness")
+SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 
 
-def load_csv(
-    paths: str | Path | Sequence[str | Path],
-    *,
-    dt: float | Sequence[float] | None = None,
-    time_column: str | None = None,
-    names: Sequence[str] | None = None,
-    units: str | Sequence[str] | None = None,
-) -> Demonstrations:
-    """One demonstration per comma-separated file; the first line holds the names of the columns.
+def load_csv(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -> Demonstrations:
+    """Demonstrations from tables in text files, one or several in each; all files have the same columns.
 
-    A column `t` or `time` holds the time [s], `v_<name>` the velocity of the column <name>, columns that start with
-    `s_` or `stiffness` the stiffness; all others are positions. All files have the same columns.
+    Cells are separated by commas, semicolons, tabs or spaces; decimals have a point or a comma; lines that begin with # or %
+    are comments, of which the last one before the numbers may be the header. Time, positions, velocities, stiffness and a
+    column that numbers the demonstrations are recognised by their usual names and units, so are counters, second clocks,
+    forces and accelerations, which are left out; columns of text or without numbers are ignored. Where it cannot be told which
+    columns are positions, none is guessed. A new demonstration begins where its number changes or time starts anew.
 
     Args:
         paths: a file, a folder whose *.csv are read in the order of their names, or a sequence of files.
-        dt: time step [s], needed if there is no column of time; one for all or one per file.
-        time_column: the column of time, if it has another name.
-        names: the columns that are positions, in this order; further columns are then ignored.
-        units: as for `Demonstrations`.
+        **how: see `Reading`; docs/data.md has a table of forms and calls.
 
     Raises:
-        FileError: a file is missing, is not a table of finite numbers under a header, or its time steps
-            are not equal to one part in a thousand; the message gives the line.
-        UnknownNameError: `time_column` or one of `names` is not a column.
+        FileError: a file is missing, is not a table, it cannot be told what its columns are, or its time steps are not
+            equal to one part in a thousand; the message gives the place and the argument that helps.
+        UnknownNameError: a column that is not there.
+        InvalidArgumentError: an argument out of its range.
     """
+    check(how, without=ARRAYS)
     files = _csv_files(paths)
-    layout: _Columns | None = None
     records: list[Record] = []
+    places: list[str] = []
+    first: list[str] | None = None
+    order: list[str] = []
     for path in files:
-        header, table = read_table(path)
-        if layout is None:
-            first, layout = header, _columns(path, header, time_column, names)
-        if set(header) != set(first):
+        text = read_text(path)
+        header = names_of(path, text, how)
+        if first is None:
+            first = header
+        elif set(header) != set(first):
             raise FileError(
                 f"{path}: the columns are {', '.join(header)} but those of {files[0]} are {', '.join(first)}; "
                 "give all files the same columns"
             )
-        chosen = {
-            field: table[:, [header.index(column) for column in columns]]
-            for field, columns in layout._asdict().items()
-            if columns
-        }
-        records.append(chosen)
-    assert layout is not None
-    return from_records(files, records, dt=dt, names=layout.x, units=units)
+        columns = [named(name) for name in header]
+        chosen = _layout(path, text, header, columns, how)
+        if len(files) > 1 and path != files[0] and how.get("positions") is None:
+            chosen = _in_order(chosen, header, order)
+        order = [header[i] for i in chosen.x]
+        parts = _records(path, text, header, columns, chosen, how)
+        records += parts
+        places += [f"{path}: demonstration {i}" if len(parts) > 1 else str(path) for i in range(len(parts))]
+    units = [columns[i].unit for i in chosen.x]
+    return from_records(
+        Path(", ".join(map(str, files))), records, how, places=places, names=_names(columns, chosen), units=units
+    )
+
+
+def _names(columns: Sequence[Named], chosen: Layout) -> list[str]:
+    return [columns[i].name for i in chosen.x]
+
+
+def _in_order(chosen: Layout, header: Sequence[str], order: Sequence[str]) -> Layout:
+    """The layout with its positions in the order of the first file."""
+    places = [[header[i] for i in chosen.x].index(name) for name in order]
+    return chosen._replace(x=[chosen.x[p] for p in places], v=[chosen.v[p] for p in places] if chosen.v else [])
+
+
+def names_of(path: Path, text: Text, how: Reading) -> list[str]:
+    """The header; numbers as names where there is none and the arguments say what the columns are.
+
+    Raises:
+        FileError: no header, a name that stands twice, or fewer than two samples.
+    """
+    if text.header is None:
+        n = len(text.cells[0]) if text.cells else 0
+        if not said(how, "positions"):
+            raise FileError(
+                f"{path}: no header; the first line has to hold the names of the columns, or say what the {n} columns are, "
+                f"counted from 0: time=0, positions={tuple(range(1, n))!r} (values are separated by {text.form})"
+            )
+        return [str(i) for i in range(n)]
+    header = text.header
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated or "" in header:
+        problem = f"the name {repeated[0]!r} twice" if repeated and repeated[0] else "a column without a name"
+        raise FileError(f"{path}: the header has {problem}; give every column its own name")
+    if len(text.cells) < 2:
+        raise FileError(f"{path}: at least two samples are needed, got {len(text.cells)}; leave it out")
+    return header
+
+
+def _layout(path: Path, text: Text, header: list[str], columns: list[Named], how: Reading) -> Layout:
+    def usable(i: int) -> bool:
+        """Columns without any number are of no use, nor are words; but words among numbers are a fault."""
+        if all(is_missing(row[i]) for row in text.cells):
+            return False
+        return columns[i].kind in WANTED or not text.is_text(i) or np.isfinite(text.numbers(i)).mean() > 0.5
+
+    if len(header) < 2 and text.is_text(0):
+        raise FileError(
+            f"{path}, line {text.lines[0]}, column {header[0]!r}: {text.cells[0][0]!r} is not a finite number (values are "
+            f"separated by {text.form})"
+        )
+    chosen = layout(path, columns, header, usable, how)
+    if chosen.demo is not None and not isinstance(how.get("split"), str):
+        numbers = text.numbers(chosen.demo)
+        if np.count_nonzero(np.diff(numbers)) > len(numbers) / 2:  # another one in nearly every row: a counter
+            chosen = chosen._replace(demo=None, left_out=chosen.left_out | {header[chosen.demo]: "counter"})
+    if chosen.left_out:
+        listed = ", ".join(f"{name} ({kind})" for name, kind in chosen.left_out.items())
+        warnings.warn(
+            f"{path}: left out are {listed}; choose with positions=, or pass ignore={tuple(chosen.left_out)!r}",
+            DemonstrationWarning,
+            stacklevel=3,
+        )
+    return chosen
+
+
+def _records(
+    path: Path, text: Text, header: list[str], columns: list[Named], chosen: Layout, how: Reading
+) -> list[Record]:
+    """The demonstrations in one file."""
+    bridged = bool(how.get("resample"))
+    last = _last_row(text, [*chosen.x, *chosen.t])
+    record: Record = {}
+    for field, numbers in (("x", chosen.x), ("v", chosen.v), ("stiffness", chosen.stiffness)):
+        if numbers:
+            record[field] = np.stack([text.numbers(i) for i in numbers], -1)
+            _check(path, text, header, numbers, last, bridged)
+    if chosen.t:
+        _check(path, text, header, chosen.t, last, bridged)
+        record["t"] = _clock(path, text, columns, chosen.t, how, last)
+    if len(record["x"]) < 2:
+        raise FileError(f"{path}: at least two samples are needed, got {len(record['x'])}; leave it out")
+    if chosen.demo is None:
+        return split(str(path), record, how, text.breaks)
+    if text.is_text(chosen.demo):
+        cells = [row[chosen.demo].strip() for row in text.cells]
+        numbers_of = {cell: i for i, cell in enumerate(dict.fromkeys(cells))}
+        return by_number(str(path), record, np.array([numbers_of[cell] for cell in cells], dtype=float))
+    return by_number(str(path), record, text.numbers(chosen.demo))
+
+
+def _last_row(text: Text, columns: Sequence[int]) -> int:
+    """The number of rows up to the last that holds a position or a time; what follows is padding."""
+    there = [any(not is_missing(row[i]) for i in columns) for row in text.cells]
+    return max((i + 1 for i, full in enumerate(there) if full), default=len(there))
+
+
+def _check(path: Path, text: Text, header: Sequence[str], columns: Sequence[int], last: int, bridged: bool) -> None:
+    """Refuse cells that are no finite numbers; missing ones stay where they are to be bridged."""
+    for row in range(last):
+        for i in columns:
+            cell = text.cells[row][i]
+            if math.isfinite(float(cell)) if is_number(cell) else bridged and is_missing(cell):
+                continue
+            advice = "pass resample=True to bridge it" if is_missing(cell) else f"pass ignore={header[i]!r}"
+            raise FileError(
+                f"{path}, line {text.lines[row]}, column {header[i]!r}: {cell.strip()!r} is not a finite number; correct the "
+                f"line or remove it, or {advice} (values are separated by {text.form})"
+            )
+
+
+def _clock(
+    path: Path, text: Text, columns: Sequence[Named], numbers: Sequence[int], how: Reading, last: int
+) -> np.ndarray:
+    """The times [s] of the rows, of one column or of one with whole seconds and one with the rest in ns."""
+    unit = how.get("time_unit")
+    if len(numbers) == 2:
+        whole, rest = (text.whole(i) for i in numbers)
+        if whole is not None and rest is not None and unit is None:
+            return seconds(str(path), whole * 10**9 + rest, "ns")
+        return text.numbers(numbers[0]) + 1e-9 * text.numbers(numbers[1])
+    stamps = text.whole(numbers[0])
+    if unit is None:
+        unit = time_unit(columns[numbers[0]])
+    values = text.numbers(numbers[0]) if stamps is None else stamps
+    return seconds(f"{path}: column {columns[numbers[0]].name!r}", values, unit, whole=stamps is not None)
 
 
 def read_table(path: str | Path) -> tuple[list[str], np.ndarray]:
-    """The header and the `(T, columns)` numbers of a comma-separated file.
+    """The header and the `(T, columns)` numbers of a table.
 
     Raises:
         FileError: there is no such file, it is not a table of at least two rows of finite numbers under a header
             of different names; the message gives the line.
     """
     path = existing(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, line) for line in reader if any(cell.strip() for cell in line)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise FileError(f"{path}: not a text file of comma-separated values ({error})") from error
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
-    if not any(_number(cell) is None for cell in header):
-        raise FileError(f"{path}: no header; the first line has to hold the names of the columns")
-    repeated = sorted({name for name in header if header.count(name) > 1})
-    if repeated or "" in header:
-        problem = f"the name {repeated[0]!r} twice" if repeated and repeated[0] else "a column without a name"
-        raise FileError(f"{path}: the header has {problem}; give every column its own name")
-    if len(lines) < 3:
-        raise FileError(f"{path}: at least two samples are needed, got {max(len(lines) - 1, 0)}; leave it out")
-    rows = []
-    for number, line in lines[1:]:
-        if len(line) != len(header):
-            raise FileError(
-                f"{path}, line {number}: {len(line)} values under {len(header)} column names; fill or remove the line"
-            )
-        values = [_number(cell) for cell in line]
-        for name, cell, value in zip(header, line, values, strict=True):
-            if value is None or not math.isfinite(value):
-                raise FileError(
-                    f"{path}, line {number}, column {name!r}: {cell.strip()!r} is not a finite number; "
-                    "correct the line or remove it (values are separated by commas)"
-                )
-        rows.append(values)
-    return header, np.array(rows, dtype=float)
-
-
-class _Columns(NamedTuple):
-    x: list[str]
-    v: list[str]
-    stiffness: list[str]
-    t: list[str]
+    text = read_text(path)
+    header = names_of(path, text, {})
+    _check(path, text, header, range(len(header)), len(text.cells), False)
+    return header, np.stack([text.numbers(i) for i in range(len(header))], -1)
 
 
 def _csv_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -124,35 +226,3 @@ def _csv_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
     if not files:
         raise FileError(f"{paths}: no .csv file in this folder")
     return files
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
-def _columns(path: Path, header: list[str], time_column: str | None, names: Sequence[str] | None) -> _Columns:
-    """Which columns of a .csv file are what."""
-    for name in [*([] if time_column is None else [time_column]), *(names or [])]:
-        if name not in header:
-            raise UnknownNameError(f"column of {path.name}", name, header)
-    times = [name for name in header if name.lower() in ("t", "time") and name not in (names or [])]
-    times = times if time_column is None else [time_column]
-    if len(times) > 1:
-        raise FileError(f"{path}: the columns {' and '.join(times)} could be time; choose with time_column=")
-    stiffness = [c for c in header if c.startswith(("s_", "stiffness")) and c not in [*times, *(names or [])]]
-    x = list(names or [])
-    if names is None:
-        x = [name for name in header if name not in [*times, *stiffness] and not name.startswith("v_")]
-    expected = [f"v_{name}" for name in x]
-    v = [name for name in header if name.startswith("v_") and (names is None or name in expected)]
-    if not x:
-        raise FileError(f"{path}: none of the columns {', '.join(header)} is a position")
-    if v and set(v) != set(expected):
-        raise FileError(
-            f"{path}: the velocities are {', '.join(v)} but the positions {', '.join(x)}; name the velocity of each "
-            f"position, {', '.join(expected)}, or remove all velocities"
-        )
-    return _Columns(x, expected if v else [], stiffness, times)

@@ -8,9 +8,13 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import numpy as np
+
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, MissingPackageError, UnknownNameError
-from torchds.recordings.mat import load_mat
+from torchds.recordings.mat import demonstrations
+from torchds.recordings.matlab import restore
+from torchds.recordings.matlab_process import plain, variables
 
 
 def lasa_names(*, single: bool = False) -> list[str]:
@@ -43,7 +47,11 @@ def load_lasa(
         raise InvalidArgumentError(f"n_demos has to be 1 to 7, or None for all, got {n_demos!r}")
     if name not in lasa_names():
         raise UnknownNameError("LASA motion", name, lasa_names())
-    demos = load_mat(_lasa_folder() / f"{name}.mat", variable="demos", time_axis=1)[:n_demos]
+    file = _lasa_folder() / f"{name}.mat"
+    arrays: dict[str, np.ndarray] = {}
+    # Installed as code is, so that no other process has to read it.
+    contents = {key: restore(plain(value, arrays), arrays) for key, value in variables(str(file)).items()}
+    demos = demonstrations(file, contents, {"variable": "demos", "time_axis": 1})[:n_demos]
     demos = demos.scale(scale, units={1.0: "mm", 1e-3: "m"}.get(scale, ""))
     return demos if duration is None else demos.retime(duration)
 

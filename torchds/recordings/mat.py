@@ -5,114 +5,163 @@ Stability: stable.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Unpack
 
 import numpy as np
 
 from torchds.demonstrations import Demonstrations
-from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
-from torchds.recordings.base import Record, canonical, existing, from_records, group
+from torchds.errors import FileError, UnknownNameError
+from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright, with_halves, without_clock
+from torchds.recordings.base import canonical, from_records, group
+from torchds.recordings.matlab import read_variables
+from torchds.recordings.parts import Record
+from torchds.recordings.reading import Reading, check
 
 
-def load_mat(
-    path: str | Path,
-    *,
-    variable: str | None = None,
-    time_axis: int | None = None,
-    dt: float | Sequence[float] | None = None,
-    names: Sequence[str] | None = None,
-    units: str | Sequence[str] | None = None,
-) -> Demonstrations:
-    """Demonstrations from a MATLAB file (version 7 or older).
+def load_mat(path: str | Path, **how: Unpack[Reading]) -> Demonstrations:
+    """Demonstrations from a MATLAB file (version 7 or older), which is read in a process of its own.
 
-    They may be a cell array of matrices or of structs, an array of structs, one matrix, or one array per demonstration
-    named as for `load_npz`. The fields of a struct are `x` or `pos` or `position(s)`; `v`, `vel` or `velocity`;
-    `stiffness`; `t` or `time` and `dt` [s]; others are ignored.
+    They may be a cell array of matrices or of structs, an array of structs, one matrix, one array of three axes, or one array
+    per demonstration named as for `load_npz`, in cells and structs at any depth. The fields of a struct are `x` or `pos` or
+    `position(s)`; `v`, `vel` or `velocity`; `stiffness`; `t` or `time` and `dt` [s]; the arguments may name others. The longer
+    axis of a matrix is time. Where the second half of the columns of all matrices is the derivative of the first, it holds
+    the velocities.
 
     Args:
         path: the file.
-        variable: the variable to read, needed if several could be meant.
-        time_axis: 0 if samples are rows of the matrices, 1 if they are columns; by default the longer axis is time.
-        dt: time step [s], needed if the file has none; one for all or one per demonstration.
-        names: names of the dimensions.
-        units: units of the dimensions.
+        **how: see `Reading`.
 
     Raises:
-        FileError: the file is missing, is no such file, has no usable variable or several, or a matrix is
-            square and `time_axis` is not given.
+        FileError: the file is missing, is no such file, has no usable variable or several, or it cannot be told which axis
+            is time.
         UnknownNameError: there is no variable of that name.
-        InvalidArgumentError: `time_axis` is neither 0 nor 1.
+        InvalidArgumentError: an argument out of its range.
     """
-    if time_axis not in (None, 0, 1):
-        raise InvalidArgumentError(
-            f"time_axis has to be 0 (samples are rows) or 1 (samples are columns), got {time_axis!r}"
-        )
-    from scipy.io import loadmat
+    check(how)
+    return demonstrations(Path(path), read_variables(path), how)
 
-    path = existing(path)
-    try:
-        contents = loadmat(path, appendmat=False)
-    except NotImplementedError as error:
-        raise FileError(f"{path}: a MATLAB 7.3 file; save it again in MATLAB with the option -v7") from error
-    except Exception as error:  # scipy raises many kinds
-        raise FileError(f"{path}: not a readable MATLAB file ({error})") from error
-    contents = {key: value for key, value in contents.items() if not key.startswith("__")}
+
+def demonstrations(path: Path, contents: Mapping[str, Any], how: Reading) -> Demonstrations:
+    """Those in the variables of a file."""
+    variable = how.get("variable")
     if variable is not None and variable not in contents:
         raise UnknownNameError(f"variable in {path.name}", variable, contents)
-    raw = _mat_records(path, contents if variable is None else {variable: contents[variable]})
-    records = [_upright(path, i, canonical(record), time_axis) for i, record in enumerate(raw)]
-    return from_records(path, records, shared=contents.get("dt"), dt=dt, names=names, units=units)
+    raw, bare = _records(path, contents if variable is None else {variable: contents[variable]}, how)
+    pieces = [piece for i, record in enumerate(raw) for piece in apart(place(path, i), record, how)]
+    turned = [upright(place(path, i), piece, how, longer=True) for i, piece in enumerate(pieces)]
+    shared = contents.get("dt")
+    shared = shared if isinstance(shared, np.ndarray) and shared.dtype.kind in "fiu" else None
+    if bare:
+        without_clock(str(path), turned, how)
+        turned = [chosen(place(path, i), record, how) for i, record in enumerate(turned)]
+        turned = with_halves(turned, _steps(len(turned), shared, how), how)
+    records = [part for i, record in enumerate(turned) for part in finished(place(path, i), record, how)]
+    return from_records(path, records, how, shared=shared)
 
 
-def _cells(value: object) -> list[Record]:
-    """One record per demonstration in a MATLAB variable; [] if it is of no use."""
-    if not isinstance(value, np.ndarray) or not value.size:
-        return []
-    if value.dtype.names:
-        records: list[Record] = [{name: item[name] for name in value.dtype.names} for item in value.ravel()]
-        return records if all("x" in canonical(record) for record in records) else []
-    if value.dtype == object:
-        parts = [_cells(item) for item in value.ravel()]
-        return [record for part in parts for record in part] if all(parts) else []
-    return [{"x": value}] if value.ndim == 2 and value.size > 1 and value.dtype.kind in "biuf" else []
+def _steps(n: int, shared: np.ndarray | None, how: Reading) -> list[float | None]:
+    """The time step of each of n matrices, where it is known."""
+    value = shared if shared is not None else how.get("dt")
+    steps = [] if value is None else np.asarray(value, dtype=float).ravel().tolist()
+    return steps if len(steps) == n else steps * n if len(steps) == 1 else [None] * n
 
 
-def _mat_records(path: Path, contents: Mapping[str, np.ndarray]) -> list[Record]:
-    """The records of the one variable that can be meant: cells and structs before arrays by name before any matrix."""
+def _records(path: Path, contents: Mapping[str, Any], how: Reading) -> tuple[list[Record], bool]:
+    """The records of the one variable that can be meant, and whether they are matrices without names.
+
+    Cells and structs come before arrays by name, these before any matrix.
+    """
+    said = {field: str(names[0]) for field, names in names_said(how).items()}
+    if said:
+        return _by_name(path, contents, said), False
     usable = {key: records for key, value in contents.items() if (records := _cells(value))}
-    nested = {key: records for key, records in usable.items() if contents[key].dtype.kind in "OV"}
-    if not nested and (groups := group(contents)):
-        return [{alias: contents[key] for alias, key in keys.items()} for keys in groups]
-    chosen = nested or usable
-    if len(chosen) == 1:
-        return next(iter(chosen.values()))
+    nested = {key: records for key, records in usable.items() if not isinstance(contents[key], np.ndarray)}
+    if not nested and (groups := group(key for key, value in contents.items() if isinstance(value, np.ndarray))):
+        named = [canonical({alias: contents[key] for alias, key in keys.items()}) for keys in groups]
+        for i, record in enumerate(named):
+            if "x" not in record:
+                raise FileError(f"{place(path, i)} has no positions; give them in all demonstrations, or in none")
+        return named, False
+    found = nested or usable
+    if len(found) == 1:
+        ((key, records),) = found.items()
+        return records, not _structs(contents[key])
     listing = "; ".join(f"{key}: {_describe(contents[key])}" for key in sorted(contents)) or "nothing"
-    if chosen:
+    if found:
         raise FileError(
-            f"{path}: {' and '.join(sorted(chosen))} could be meant; choose with variable= (the file holds {listing})"
+            f"{path}: {' and '.join(sorted(found))} could be meant; choose with variable= (the file holds {listing})"
         )
+    inner = sorted({name for value in contents.values() for struct in _structs(value) for name in struct})
+    advice = f"; say which field holds the positions, positions={_likeliest(inner)!r}" if inner else ""
     raise FileError(
         f"{path}: no usable variable; wanted is a cell array of matrices or of structs with a field x or pos, or "
-        f"matrices x0, x1, ...; found: {listing}"
+        f"matrices x0, x1, ...; found: {listing}{advice}"
     )
 
 
-def _describe(value: np.ndarray) -> str:
-    size = " x ".join(map(str, value.shape))
-    if value.dtype.names:
-        return f"{size} struct of {', '.join(value.dtype.names)}"
-    return f"{size} {'cell' if value.dtype == object else value.dtype.name}"
+def _likeliest(fields: list[str]) -> str:
+    """The field that sounds most like positions, else the first."""
+    sounding = [
+        name for name in fields if any(word in name.lower() for word in ("pos", "traj", "data", "joint", "cart"))
+    ]
+    return (sounding or fields)[0]
 
 
-def _upright(path: Path, i: int, record: Record, time_axis: int | None) -> Record:
-    """The record with time along the first axis of its matrices."""
-    shape = record["x"].shape if "x" in record else ()
-    if time_axis is None and len(shape) == 2:
-        if shape[0] == shape[1]:
-            raise FileError(
-                f"{path}: the positions of demonstration {i} are {shape[0]} x {shape[1]}: either axis could be "
-                "time; pass time_axis=0 (samples are rows) or time_axis=1 (samples are columns)"
-            )
-        time_axis = int(shape[1] > shape[0])
-    return {key: value.T if time_axis == 1 and key not in ("t", "dt") else value for key, value in record.items()}
+def _by_name(path: Path, contents: Mapping[str, Any], said: Mapping[str, str]) -> list[Record]:
+    """The records of all structs, at any depth, that have the fields that were named; else that of the variables."""
+    structs = [struct for value in contents.values() for struct in _structs(value)]
+    found = [record for struct in structs if "x" in (record := _renamed(struct, said))]
+    if not found and "x" in (record := _renamed(contents, said)):
+        found = [record]
+    if not found:
+        known = sorted({name for struct in structs for name in struct} | set(contents))
+        absent = [name for name in said.values() if name not in known]
+        raise UnknownNameError(f"field in {path.name}", (absent or list(said.values()))[0], known)
+    for i, record in enumerate(found):
+        if missing := [name for field, name in said.items() if field not in record]:
+            raise FileError(f"{place(path, i)} has no field {missing[0]!r} beside its positions")
+    return found
+
+
+def _renamed(struct: Mapping[str, Any], said: Mapping[str, str]) -> Record:
+    """The arrays of a struct under the names x, v, stiffness, t, dt: as the arguments say, else by their usual names."""
+    arrays = {key: value for key, value in struct.items() if isinstance(value, np.ndarray)}
+    usual = {field: value for field, value in canonical(arrays).items() if field not in said}
+    return {**usual, **{field: arrays[name] for field, name in said.items() if name in arrays}}
+
+
+def _structs(value: Any) -> list[dict[str, Any]]:
+    """All structs in a variable, the outer ones first."""
+    if isinstance(value, list):
+        return [struct for item in value for struct in _structs(item)]
+    if isinstance(value, dict):
+        return [value, *(struct for item in value.values() for struct in _structs(item))]
+    return []
+
+
+def _cells(value: Any) -> list[Record]:
+    """One record per demonstration in a MATLAB variable; [] if it is of no use."""
+    if isinstance(value, dict):
+        fields = {name: item for name, item in value.items() if isinstance(item, np.ndarray)}
+        if "x" in (record := canonical(fields)):
+            return [record]
+        inner = [records for item in value.values() if isinstance(item, (dict, list)) and (records := _cells(item))]
+        return inner[0] if len(inner) == 1 else []
+    if isinstance(value, list):
+        parts = [_cells(item) for item in value]
+        return [record for part in parts for record in part] if all(parts) else []
+    numeric = isinstance(value, np.ndarray) and value.dtype.kind in "biuf"
+    return [{"x": value}] if numeric and value.ndim in (2, 3) and value.size > 1 else []
+
+
+def _describe(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"1 x 1 struct of {', '.join(value)}"
+    if isinstance(value, list):
+        inner = next((f", each a struct of {', '.join(item)}" for item in value if isinstance(item, dict)), "")
+        return f"1 x {len(value)} cell{inner}"
+    if isinstance(value, np.ndarray):
+        return f"{' x '.join(map(str, value.shape))} {value.dtype.name}"
+    return "1 str"

@@ -5,56 +5,62 @@ Stability: stable.
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import Unpack
 
 from torchds.demonstrations import Demonstrations
-from torchds.errors import FileError
-from torchds.recordings.base import canonical, existing, from_records, group
+from torchds.errors import FileError, UnknownNameError
+from torchds.files import read_npz
+from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright
+from torchds.recordings.base import canonical, from_records, group
+from torchds.recordings.parts import Record
+from torchds.recordings.reading import Reading, check
 
 
-def load_npz(
-    path: str | Path,
-    *,
-    dt: float | Sequence[float] | None = None,
-    names: Sequence[str] | None = None,
-    units: str | Sequence[str] | None = None,
-) -> Demonstrations:
-    """Demonstrations from a NumPy archive with one (T, D) array per demonstration.
+def load_npz(path: str | Path, **how: Unpack[Reading]) -> Demonstrations:
+    """Demonstrations from a NumPy archive with one (T, D) array per demonstration, or one of three axes.
 
     Positions are called `demo0_x` (or `demo0_pos`), `demo1_x`, ... or `x0`, `x1`, ...; velocities, stiffness and time
-    likewise: `demo0_v` (`demo0_vel`), `demo0_stiffness`, `demo0_t`. `dt` is one number or one per demonstration.
-    Where velocities are one sample shorter than positions, as forward differences are, the last position is dropped.
+    likewise: `demo0_v` (`demo0_vel`), `demo0_stiffness`, `demo0_t`; the arguments may name others. `dt` is one number or one
+    per demonstration. Where velocities are one sample shorter than positions, as forward differences are, the last position
+    is dropped.
 
     Args:
         path: the file.
-        dt: time step [s], needed if the file has none; one for all or one per demonstration.
-        names: names of the dimensions; those in the file by default.
-        units: units of the dimensions; those in the file by default.
+        **how: see `Reading`.
 
     Raises:
         FileError: the file is missing, is no such archive, or its arrays cannot be used.
+        UnknownNameError: an array that is not there.
     """
-    path = existing(path)
-    if not zipfile.is_zipfile(path):
-        raise FileError(f"{path}: not a .npz archive; write one with save_npz() or numpy.savez")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            groups = group(archive.files)
-            raw = [{alias: archive[key] for alias, key in keys.items()} for keys in groups]
-            found = list(archive.files)
-            extra = {key: archive[key] for key in ("dt", "names", "units") if key in found}
-    except Exception as error:  # numpy, zipfile and zlib raise many kinds
-        raise FileError(f"{path}: not a readable .npz archive ({error})") from error
+    check(how, without=("variable",))
+    arrays = read_npz(path)
+    path = Path(path)
+    if said := names_said(how):
+        for name in (name for names in said.values() for name in names):
+            if name not in arrays:
+                raise UnknownNameError(f"array in {path.name}", str(name), arrays)
+        n = max(len(names) for names in said.values())
+        raw: list[Record] = [
+            {field: arrays[str(names[i])] for field, names in said.items() if i < len(names)} for i in range(n)
+        ]
+    else:
+        raw = [canonical({alias: arrays[key] for alias, key in keys.items()}) for keys in group(arrays)]
     if not raw:
         raise FileError(
-            f"{path}: no positions; name them demo0_x, demo1_x, ... or x0, x1, ... (the file has {', '.join(found)})"
+            f"{path}: no positions; name them demo0_x, demo1_x, ... or x0, x1, ..., or say which arrays they are, "
+            f"positions=('...',) (the file has {', '.join(arrays) or 'nothing'})"
         )
-    names = [str(name) for name in extra["names"]] if names is None and "names" in extra else names
-    units = [str(unit) for unit in extra["units"]] if units is None and "units" in extra else units
-    return from_records(
-        path, [canonical(record) for record in raw], shared=extra.get("dt"), dt=dt, names=names, units=units
-    )
+    if odd := [key for key in ("names", "units") if key in arrays and arrays[key].ndim != 1]:
+        raise FileError(f"{path}: {odd[0]} has to be one for each dimension, got shape {arrays[odd[0]].shape}")
+    names, units = ([str(item) for item in arrays[key]] if key in arrays else None for key in ("names", "units"))
+    dim = None if names is None else len(names)
+    records: list[Record] = []
+    for i, record in enumerate(raw):
+        if "x" not in record:
+            raise FileError(f"{place(path, i)} has no positions; give them in all demonstrations, or in none")
+        for piece in apart(place(path, i), record, how):
+            turned = upright(place(path, len(records)), piece, how, longer=False, dim=dim)
+            records += finished(place(path, len(records)), chosen(place(path, len(records)), turned, how), how)
+    shared = arrays.get("dt")
+    return from_records(path, records, how, shared=shared, names=names, units=units)

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from tqdm import tqdm
 
 import tasks
+from tasks.settings import PAPER_FLOOR
 from torchds import GaussianMixture
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.files import write_json
@@ -191,7 +192,7 @@ class Beyond:
 
 def fitted(options: RunOptions, n_components: int) -> GaussianMixture:
     """A mixture of another number of Gaussians over the task's own demonstrations."""
-    return GaussianMixture.fit(options.make_task().demonstrations, n_components)
+    return GaussianMixture.fit(options.make_task().demonstrations, n_components, covariance_floor=PAPER_FLOOR)
 
 
 def repeat(repeats: int, closure: Closure, learner: Learner) -> Closure:

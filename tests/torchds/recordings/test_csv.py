@@ -25,8 +25,8 @@ def test_csv_files_folders_and_lists(tmp_path):
 
 
 def test_csv_columns_may_stand_in_another_order(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x,y\n0,1,2\n1,3,4\n")
-    (tmp_path / "b.csv").write_text("y,x,t\n2,1,0\n4,3,1\n")
+    (tmp_path / "a.csv").write_text("t,x,y\n0.,1,2\n1.,3,4\n")
+    (tmp_path / "b.csv").write_text("y,x,t\n2,1,0.\n4,3,1.\n")
     a, b = load_csv(tmp_path)
     assert torch.equal(a.x, b.x)
 
@@ -34,7 +34,7 @@ def test_csv_columns_may_stand_in_another_order(tmp_path):
 def test_csv_options(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("stamp,x,y,z,v_y,v_z\n0,1,2,3,4,5\n0.1,1,2,3,4,5\n")
-    demos = load_csv(path, time_column="stamp", names=["z", "y"])
+    demos = load_csv(path, time="stamp", positions=["z", "y"])
     assert demos.names == ("z", "y") and demos[0].x[0].tolist() == [3, 2] and demos[0].v[0].tolist() == [5, 4]
     path.write_text("x,y\n0,1\n2,3\n")
     assert load_csv(path, dt=0.2).dt == (0.2,)
@@ -54,13 +54,16 @@ def test_csv_options(tmp_path):
         ("t,x\n0,1\n1,fast\n", ["line 3, column 'x': 'fast' is not a finite number"]),
         ("t,x\n0,1\n1,\n", ["line 3, column 'x': '' is not a finite number"]),
         ("t,x\n0,nan\n1,2\n", ["line 2, column 'x': 'nan' is not a finite number"]),
-        ("t;x\n0;1\n1;2\n", ["line 2, column 't;x': '0;1'", "separated by commas"]),
+        ("t;x\n0;1\n1;2,\n", ["line 3, column 'x': '2,'", "separated by semicolons"]),
         ("x,y\n0,1\n1,2\n", ["no time step", "dt="]),
-        ("t,time,x\n0,1,1\n1,2,1\n", ["columns t and time", "time_column="]),
+        ("t,time,x\n0,1,1\n1,2,1\n", ["columns t and time", "time="]),
         ("t,v_x\n0,1\n1,2\n", ["none of the columns t, v_x is a position"]),
         ("t,x,y,v_x\n0,1,2,3\n1,1,2,3\n", ["the velocities are v_x but the positions x, y", "v_x, v_y"]),
         ("t,x,v_y\n0,1,2\n1,1,2\n", ["the velocities are v_y but the positions x"]),
-        ("t,x\n0,1\n1,2\n2,3\n4,4\n5,4\n", ["have to be equal", "row 2 to row 3", "1 s is usual", "pass dt="]),
+        (
+            "t,x\n0.,1\n1,2\n2,3\n4.5,4\n5.5,4\n",
+            ["have to be equal", "row 2 to row 3", "1 s is usual", "resample=True"],
+        ),
         ("t,x\n0,1\n0,2\n", ["have to be equal", "row 0 to row 1"]),
     ],
 )
@@ -81,7 +84,7 @@ def test_csv_time_may_jitter_by_a_thousandth(tmp_path):
 
 
 def test_csv_refuses_mixed_missing_and_unreadable_files(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
+    (tmp_path / "a.csv").write_text("t,x\n0.5,1\n1.5,2\n")
     (tmp_path / "b.csv").write_text("t,y\n0,1\n1,2\n")
     with refuses(FileError, "b.csv: the columns are t, y but those of", "a.csv are t, x"):
         load(tmp_path)
@@ -93,9 +96,9 @@ def test_csv_refuses_mixed_missing_and_unreadable_files(tmp_path):
     with refuses(FileError, "no .csv file in this folder"):
         load(tmp_path / "empty")
     with refuses(UnknownNameError, "column of a.csv 'stamp'", "Known: t, x"):
-        load_csv(tmp_path / "a.csv", time_column="stamp")
+        load_csv(tmp_path / "a.csv", time="stamp")
     with refuses(UnknownNameError, "column of a.csv 'X'", "Did you mean 'x'"):
-        load_csv(tmp_path / "a.csv", names=["X"])
+        load_csv(tmp_path / "a.csv", positions=["X"])
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81")
     with refuses(FileError, "b.csv: not a text file"):
         load(tmp_path / "b.csv")

@@ -1,0 +1,33 @@
+import pytest
+import torch
+
+import tasks
+from tasks.imitation import with_stiffness, without_stiffness
+from torchds import Demonstrations, GMRPolicy
+from torchds.errors import DemonstrationWarning, InvalidArgumentError
+
+
+def test_stiffness_that_was_demonstrated_is_used():
+    """Eq. 34: the policy gives it where it was shown; the constant s⁰ is for motions without."""
+    demos = tasks.make("divergent_field").demonstrations
+    rising = [torch.stack([100 - 5 * d.x[:, 0], 50 + 0 * d.x[:, 0]], -1) for d in demos]
+    shown = Demonstrations([d.x for d in demos], [d.v for d in demos], demos.dt, stiffness=rising, units="m")
+    policy = tasks.make("divergent_field", demonstrations=shown, initial_stiffness=7.0).policy()
+    x = demos[0].x[::20]
+    assert policy.stiffness_dim == 2
+    torch.testing.assert_close(policy(x).detach()[:, 2:], rising[0][::20], rtol=0.02, atol=1.0)
+    with pytest.raises(InvalidArgumentError, match=r"has to have 1 column\(s\) for this task, got 2"):
+        tasks.make("divergent_field", demonstrations=shown, stiffness="isotropic").policy()
+
+
+def test_a_task_without_use_for_stiffness_says_so():
+    demos = tasks.make("via_point").demonstrations.with_stiffness(100.0)
+    with pytest.warns(DemonstrationWarning, match=r"1 variable\(s\) .* left out: this task learns no stiffness"):
+        assert tasks.make("via_point", demonstrations=demos).policy().stiffness_dim == 0
+
+
+def test_a_mixture_without_stiffness_gets_the_constant(random_mixture):
+    plain = random_mixture(F=4)
+    policy = with_stiffness(plain, 2, 2, 2, 30.0)
+    assert policy(torch.zeros(5, 2, dtype=torch.float64))[:, 2:].unique().item() == pytest.approx(30.0)
+    torch.testing.assert_close(without_stiffness(plain, 2, 2, "").pack(), GMRPolicy.from_mixture(plain, 2).pack())
