@@ -183,7 +183,7 @@ def _regress(start: GaussianMixture, samples: Samples, ridge: float = 1e-3) -> T
     x, v, D = samples.x, samples.v, samples.x.shape[-1]
     weight = start.marginal(0, D).component_log_prob(x).softmax(-1) * samples.weight.unsqueeze(-1)  # (B, N, K)
     weighted = weight.mT.unsqueeze(-1) * x.unsqueeze(1)  # (B, K, N, D)
-    K = (start.priors > 0).sum(-1)  # of each motion: padding is no component
+    K = (start.priors > 0).sum(-1).to(x)  # of each motion: padding is no component
     damping = (ridge / K)[:, None, None, None] * torch.eye(D, dtype=x.dtype)
     slopes: Tensor = torch.linalg.solve(weighted.mT @ x.unsqueeze(1) + damping, weighted.mT @ v.unsqueeze(1)).mT
     return slopes

@@ -24,7 +24,7 @@ LIBRARY = [
     {"testing"},
 ]
 TASKS = [
-    {"settings", "loading"},
+    {"settings", "loading", "imitation"},
     {"base"},
     {"via_point", "two_starts", "constrained_reaching", "force_fields", "lwr_digging", "trials"},
     {"released", "digging"},
