@@ -8,7 +8,9 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import numpy as np
 import torch
@@ -61,6 +63,31 @@ def tensors(what: str, arrays: Sequence[Array] | Tensor) -> list[Tensor]:
     return [value.to(values[0].device, dtype) for value in values]
 
 
+def like(name: str, value: Array, reference: Tensor) -> Tensor:
+    """What a user gave as tensor of the dtype and on the device of `reference`; gradients pass.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers.
+    """
+    if not isinstance(value, Tensor):
+        try:
+            array = np.asarray(value)
+            value = torch.from_numpy(np.array(array, dtype=np.float64)) if array.dtype.kind in "biuf" else value
+        except (TypeError, ValueError, RuntimeError):
+            pass
+    if not isinstance(value, Tensor) or value.is_complex() or value.is_meta != reference.is_meta:
+        raise InvalidArgumentError(
+            f"{name} has to be a tensor or an array of real numbers, got {value!r:.80}; give torch.as_tensor(...)"
+        )
+    return value.to(reference.device, reference.dtype)
+
+
+def without_autocast(x: Tensor) -> AbstractContextManager[Any]:
+    """A block in which matrix products on the device of `x` are as precise as their arguments, whatever is around it."""
+    kind = x.device.type
+    return torch.autocast(kind, enabled=False) if torch.is_autocast_enabled(kind) else nullcontext()
+
+
 def matching(what: str, arrays: Sequence[Array] | Tensor, positions: list[Tensor]) -> list[Tensor]:
     """As `tensors`, with as many rows as there are positions."""
     if len(arrays) != len(positions):
@@ -106,6 +133,37 @@ def check_count(name: str, value: int, minimum: int) -> None:
         fits = False
     if not fits:
         raise InvalidArgumentError(f"{name} has to be an integer of at least {minimum}, got {value!r}")
+
+
+def number(name: str, value: Any, allowed: str, fits: Callable[[float], bool]) -> float:
+    """A number as float, from any type of numbers.
+
+    Args:
+        name: of the argument.
+        value: that was given.
+        allowed: what `fits` means, in words.
+        fits: whether the number is allowed.
+
+    Raises:
+        InvalidArgumentError: no number, or one that does not fit.
+    """
+    try:
+        found = math.nan if isinstance(value, str) else float(value)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        found = math.nan
+    if not fits(found):
+        raise InvalidArgumentError(f"{name} has to be {allowed}, got {value!r:.80}")
+    return found
+
+
+def count(name: str, value: Any, minimum: int) -> int:
+    """A whole number of at least `minimum` as int, from any type of numbers.
+
+    Raises:
+        InvalidArgumentError: something else.
+    """
+    number(name, value, f"at least {minimum}", lambda n: math.isnan(n) or n >= minimum)
+    return int(number(name, value, f"a whole number of at least {minimum}", lambda n: math.isfinite(n) and n == int(n)))
 
 
 def check_positive(name: str, value: float) -> None:

@@ -29,6 +29,10 @@ class DemonstrationWarning(UserWarning):
     """Recorded data can be used, but look as if they were something else than they seem (`Demonstrations.check`)."""
 
 
+class EqualCostsWarning(UserWarning):
+    """All roll-outs of a run cost the same, so that an optimizer learned nothing from them and left the parameters alone."""
+
+
 class DegenerateMixtureError(TorchdsError, ValueError):
     """A Gaussian mixture cannot be fitted to, or built from, what was given."""
 

@@ -12,9 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor, nn
+
+from torchds.errors import InvalidArgumentError
 
 
 class LinearPolicy(Protocol):
@@ -60,7 +62,29 @@ def listen() -> Iterator[list[Visit]]:
 
 
 def report(policy: LinearPolicy, features: Tensor) -> None:
-    """Tell whoever listens that `policy` visited `features` `(*batch, *points, T, F)`."""
+    """Tell whoever listens that `policy` visited `features` `(*batch, *points, T, F)`.
+
+    Raises:
+        InvalidArgumentError: no policy that is linear in features, or features that are no tensor.
+    """
     visits = _listener.get()
     if visits is not None:
-        visits.append(Visit(policy, features))
+        visits.append(checked((policy, features)))
+
+
+def checked(visit: Any) -> Visit:
+    """A visit from anything that a user may hand in as one.
+
+    Raises:
+        InvalidArgumentError: see `report`.
+    """
+    try:
+        policy, features = visit
+    except (TypeError, ValueError):
+        policy, features = None, visit
+    if not hasattr(policy, "row_parameters") or not isinstance(features, Tensor):
+        raise InvalidArgumentError(
+            "a visit is (policy, features) of a policy that is linear in features and a tensor (*batch, *points, T, F), got "
+            f"{type(policy).__name__} and {type(features).__name__}; use Visit(policy, policy.features(x))"
+        )
+    return Visit(policy, features)

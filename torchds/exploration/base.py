@@ -20,6 +20,9 @@ class Exploration(ABC):
     An optimizer draws one standard normal per parameter entry and roll-out, scales it by its `lr`, and calls the
     exploration on the parameters of one group. Drawing and shaping are apart, so that a test or a comparison can hand
     in its own normals.
+
+    Parameters with requires_grad=False are frozen. An exploration need not know: the optimizer takes the noise that it gives
+    them away. One whose noise of some parameters depends on others (as `TrajectorySpace` and `Stable`) looks at it.
     """
 
     needs_convex_update = False
@@ -67,7 +70,13 @@ class Exploration(ABC):
         return {}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave."""
+        """Take over what `state_dict` gave.
+
+        Raises:
+            InvalidArgumentError: it is not of this kind.
+        """
+        if state:
+            raise InvalidArgumentError(f"{type(self).__name__} keeps no state, got one with {sorted(map(str, state))}")
 
 
 def name_parameters(module: nn.Module, parameters: Sequence[nn.Parameter], who: str) -> list[str]:

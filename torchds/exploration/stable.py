@@ -37,7 +37,8 @@ class Stable(Exploration):
     samples than that each of them satisfies the condition, so it holds for both ways to shrink.
 
     Args:
-        policy: a stable one, with as many velocities as inputs. Stiffness parameters in the group get no noise.
+        policy: a stable one, with as many velocities as inputs. Stiffness parameters in the group get no noise; A and b
+            have to be both free or both frozen (requires_grad).
         raw: shapes the raw noise E of A [1/s]; of what it gives to other parameters nothing is used. `Gaussian(0.5)` for
             one standard deviation, `TrajectorySpace(..., goal=goal)` to explore along the motion.
         goal: `(D,)` or `(*batch, D)` x*.
@@ -104,6 +105,7 @@ class Stable(Exploration):
         names = name_parameters(self.policy, parameters, type(self).__name__)
         if missing := {"A", "b"} - set(names):
             raise InvalidArgumentError(f"Stable ties b to A; {sorted(missing)} of the policy is not in the group")
+        self._check_tie()
         self.raw.check(parameters)
         certificate = self.policy.certificate(self.goal, self.P)
         size = self.policy.b.detach().abs().amax() + self.policy.A.detach().abs().amax() * self.goal.abs().amax()
@@ -127,6 +129,13 @@ class Stable(Exploration):
                 "no noise could be held to it; learn in float64 (policy.double()), or fit with a larger margin"
             )
 
+    def _check_tie(self) -> None:
+        if self.policy.A.requires_grad != self.policy.b.requires_grad:
+            raise InvalidArgumentError(
+                "Stable ties b to A: both have to be free or both frozen, got requires_grad = "
+                f"{self.policy.A.requires_grad} of A and {self.policy.b.requires_grad} of b; set both"
+            )
+
     @property
     def needs_convex_update(self) -> bool:  # type: ignore[override]
         """Whether stability is kept: that of the samples is an update's if it is a convex combination of them (Eq. 28)."""
@@ -134,6 +143,7 @@ class Stable(Exploration):
 
     def __call__(self, parameters: Sequence[nn.Parameter], normals: Sequence[Tensor]) -> list[Tensor]:
         """ε_A, ε_b, and zero for all other parameters."""
+        self._check_tie()
         names = name_parameters(self.policy, parameters, type(self).__name__)
         raw = self.raw(parameters, normals)[names.index("A")]
         A, b = self.policy.A.detach(), self.policy.b.detach()
@@ -215,6 +225,8 @@ class Stable(Exploration):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Take over what `state_dict` gave."""
+        if set(state) != {"raw"} or not isinstance(state["raw"], Mapping):
+            raise InvalidArgumentError(f"a state of Stable is {{'raw': state of {type(self.raw).__name__}}}, got {state!r:.80}")
         self.raw.load_state_dict(state["raw"])
 
     def _tied(self, A: Tensor) -> Tensor:

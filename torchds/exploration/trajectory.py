@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
+from torchds.arrays import count
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous, chi_mean
@@ -53,6 +54,8 @@ class TrajectorySpace(Exploration):
     `damping` adds a factor: directions that the motion does not feel at all would drift at random and are left alone,
 
     .. math:: σ_i^2 = \frac{1}{λ_i + 1 / widening^2} \cdot \frac{λ_i}{λ_i + damping\, λ_{max}}.
+
+    Frozen parameters (requires_grad=False) have no noise, and the rest has that which C has without them.
 
     J is exact and follows the policy as it changes. Where it is not finite (a diverging motion), the noise falls back to
     the homogeneous one. docs/exploration.md derives this and says when it does not help.
@@ -220,7 +223,15 @@ class TrajectorySpace(Exploration):
         return root
 
     def _chart(self) -> Tensor:
-        """D₁^{1/2} `(P, P)` or `(*batch, P, P)`; with a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""
+        """D₁^{1/2} `(P, P)` or `(*batch, P, P)` of the parameters that are not frozen."""
+        chart = self._whole_chart()
+        if all(p.requires_grad for p in self.policy.row_parameters.values()):
+            return chart
+        free = self.policy.pack(lambda p: torch.full_like(p, float(p.requires_grad)))
+        return chart * free.unsqueeze(-1)
+
+    def _whole_chart(self) -> Tensor:
+        """With a goal, ε_b = −ε_A x* in place of noise of its own (Eq. 23)."""
         policy, std = self.policy, self._homogeneous.std()
         if self.goal is None:
             return torch.diag_embed(policy.join(std))
@@ -273,5 +284,21 @@ class TrajectorySpace(Exploration):
         return {"age": self._age, "factor": self._factor, "felt": self._felt}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue with a stored covariance."""
-        self._age, self._factor, self._felt = int(state["age"]), state["factor"], state.get("felt")
+        """Continue with a stored covariance.
+
+        Raises:
+            InvalidArgumentError: one of another policy.
+        """
+        if set(state) != set(self.state_dict()):
+            raise InvalidArgumentError(f"a state of TrajectorySpace has {sorted(self.state_dict())}, got {sorted(state)}")
+        age, n = count("age", state["age"], 0), self.policy.pack().shape[-1]
+        shape = (*self.policy.batch_shape, n, n)
+        for name in ("factor", "felt"):
+            value = state[name]
+            if value is not None and (not isinstance(value, Tensor) or tuple(value.shape) != shape):
+                raise InvalidArgumentError(f"{name} of TrajectorySpace has to be {shape} for this policy, got {value!r:.80}")
+        if (state["factor"] is None) != (state["felt"] is None) or not all(
+            value is None or value.dtype == self.policy.A.dtype for value in (state["factor"], state["felt"])
+        ):
+            raise InvalidArgumentError(f"factor and felt of TrajectorySpace have to be {self.policy.A.dtype}, both or none")
+        self._age, self._factor, self._felt = age, state["factor"], state["felt"]

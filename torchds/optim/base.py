@@ -6,19 +6,24 @@ Stability: stable.
 from __future__ import annotations
 
 import inspect
+import warnings
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Unpack
 
 import torch
 from torch import Tensor, nn
 
-from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
+from torchds.arrays import without_autocast
+from torchds.errors import AllRolloutsFailedError, EqualCostsWarning, InvalidArgumentError
 from torchds.exploration.base import Exploration
-from torchds.optim.elite import put_first, remember
-from torchds.optim.evaluation import Closure, Control, Trial, controls, evaluate
-from torchds.optim.options import DEFAULTS, SharedOptions, check_group, completed, described
+from torchds.optim.checkpoints import check_entries
+from torchds.optim.drawing import Drawing
+from torchds.optim.elite import remember
+from torchds.optim.evaluation import Closure, Control, Table, Trial, as_costs, controls, evaluate
+from torchds.optim.functional import informative
+from torchds.optim.options import DEFAULTS, IN_GROUPS, SharedOptions, check_group, check_search, completed, described
+from torchds.optim.transaction import Snapshot
 from torchds.visits import Visit
 
 
@@ -38,19 +43,14 @@ class Update(NamedTuple):
     failed: Tensor
 
 
-@cache
-def _of_torch() -> frozenset[str]:
-    """Attributes that torch and its schedulers give an optimizer: hooks and wrappers, which copies do not take along.
-
-    Asked for when something is copied: torch's first optimizer imports its compiler.
-    """
-    return frozenset({*vars(torch.optim.Optimizer([{"params": []}], {})), "step"})
-
-
-class PolicySearch(torch.optim.Optimizer):
+class PolicySearch(Drawing):
     """Base of optimizers that perturb parameters, look at costs and never at gradients.
 
     A subclass implements `_update` and its own `step`; everything else, from the noise to the checkpoint, is here.
+
+    Parameters with requires_grad=False are frozen: they get no noise, do not move and cost no control. A step is all or
+    nothing: whatever it raises, parameters, state and generator are as before it, and so is what `ask` gave out. Where all
+    roll-outs of a run cost the same, nothing is known to be better, and its parameters stay.
 
     Args:
         params: parameters, named parameters or groups of them. A group may have its own `exploration`.
@@ -84,19 +84,17 @@ class PolicySearch(torch.optim.Optimizer):
         **shared: Unpack[SharedOptions],
     ) -> None:
         options = completed(shared, self.shared_defaults, type(self))
-        if n_rollouts < 1:
-            raise InvalidArgumentError(f"n_rollouts has to be at least 1, got {n_rollouts}")
-        if options["elite"] != "none" and n_rollouts < 2:
-            raise InvalidArgumentError(f"elite={options['elite']!r} needs n_rollouts ≥ 2, got {n_rollouts}")
-        self.n_rollouts = n_rollouts
         self.elite = options["elite"]
         self.batched = options["batched"]
         self.control_reference = options["control_reference"]
-        self.generator = options["generator"] or torch.Generator().manual_seed(0)
+        self.n_rollouts, self.generator = check_search(
+            n_rollouts, self.elite, self.control_reference, self.batched, options["generator"]
+        )
         self.explorations: list[Exploration] = []
         self.last: Update | None = None
         self._default_exploration = exploration
-        in_groups = {name: options[name] for name in ("eliteness", "temperature", "control_weight")}
+        self._warned = False
+        in_groups = {name: value for name, value in options.items() if name in IN_GROUPS}
         super().__init__(params, {**defaults, **in_groups})
 
     # ------------------------------------------------------------------ groups and state
@@ -105,8 +103,8 @@ class PolicySearch(torch.optim.Optimizer):
         """Add a group; its entry `exploration` is kept as an attribute, since groups hold plain values only.
 
         Raises:
-            InvalidArgumentError: options out of range, mixed dtypes or devices, no exploration or one that does not
-                fit the parameters.
+            InvalidArgumentError: options out of range, no parameters, mixed dtypes or devices, no exploration or one that
+                does not fit the parameters.
         """
         param_group = dict(param_group)
         exploration = param_group.pop("exploration", self._default_exploration)
@@ -119,14 +117,17 @@ class PolicySearch(torch.optim.Optimizer):
         parameters = self.param_groups[-1]["params"]
         try:
             kinds = sorted({f"{p.dtype} on {p.device}" for p in parameters})
-            if len(kinds) > 1:
-                raise InvalidArgumentError(f"the parameters of a group need one dtype and device, got {kinds}")
+            if len(kinds) != 1 or not parameters[0].is_floating_point():
+                raise InvalidArgumentError(
+                    f"the parameters of a group need one dtype and device, a real one, got {kinds}"
+                )
             exploration.check(parameters)
             self._check_promise(self.param_groups[-1], exploration)
         except Exception:
             self.param_groups.pop()
             raise
         self.explorations.append(exploration)
+        self._forget()  # what was asked for the other groups alone
 
     def _check_promise(self, group: Mapping[str, Any], exploration: Exploration) -> None:
         if exploration.needs_convex_update and not self._convex(group):
@@ -148,33 +149,6 @@ class PolicySearch(torch.optim.Optimizer):
             InvalidArgumentError: what was received and what is allowed.
         """
         check_group(group)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Parameters' state and groups as in torch.optim, and the generator and explorations beside them."""
-        extra = {
-            "generator": self.generator.get_state(),
-            "explorations": [exploration.state_dict() for exploration in self.explorations],
-        }
-        return {**super().state_dict(), **extra}
-
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Continue bit for bit where `state_dict` was taken."""
-        super().load_state_dict({key: state_dict[key] for key in ("state", "param_groups")})
-        self.generator.set_state(state_dict["generator"].cpu())
-        for exploration, state in zip(self.explorations, state_dict["explorations"], strict=True):
-            exploration.load_state_dict(state)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What copies and pickles keep: all attributes but those of torch, the generator by its state."""
-        own = {name: value for name, value in vars(self).items() if name not in _of_torch()}
-        return {**super().__getstate__(), **own, "generator": self.generator.get_state()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        if isinstance(state.get("generator"), Tensor):  # torch.optim's load_state_dict comes here with parts only
-            generator = torch.Generator()
-            generator.set_state(state["generator"])
-            state = {**state, "generator": generator}
-        super().__setstate__(state)
 
     # ------------------------------------------------------------------ the two halves of a step
 
@@ -214,7 +188,14 @@ class PolicySearch(torch.optim.Optimizer):
         Raises:
             InvalidArgumentError: normals of the wrong number or shape.
         """
-        self._draw(normals)
+        before = Snapshot(self)
+        try:
+            self._check()
+            with without_autocast(self._first):
+                self._draw(normals)
+        except BaseException:
+            before.restore()
+            raise
         named = [
             (name, p + self.state[p]["noise"])
             for group in self.param_groups
@@ -222,48 +203,55 @@ class PolicySearch(torch.optim.Optimizer):
         ]
         return dict(named) if all(name is not None for name, _ in named) else [value for _, value in named]
 
-    def tell(self, costs: Tensor, visits: Sequence[Visit] = ()) -> Tensor:
+    def tell(self, costs: Any, visits: Sequence[Visit] = ()) -> Tensor:
         """Finish the update that `ask` began.
 
         Args:
-            costs: `(N, *batch)` what the tried parameters cost; NaN or infinity marks a failed roll-out.
+            costs: `(N, *batch)` what the tried parameters cost, as a tensor, an array or numbers; NaN or infinity marks a
+                failed roll-out.
             visits: the features that the roll-outs saw, `Visit(policy, features)` with `(N, *batch, *points, T, F)`,
                 for the control cost; needed only for a control_weight above zero.
 
         Raises:
-            InvalidArgumentError: nothing was asked, or costs of the wrong shape.
+            InvalidArgumentError: nothing was asked, or costs of the wrong shape; what `ask` gave out stays valid.
             AllRolloutsFailedError: no cost is finite.
         """
         if not self._asked:
             raise InvalidArgumentError("tell(costs) finishes what ask() began; call ask() first")
-        dtype = self.param_groups[0]["params"][0].dtype
-        return self.step(Trial(costs if isinstance(costs, Tensor) else torch.as_tensor(costs, dtype=dtype), visits))
+        return self.step(Trial(as_costs(costs, self._parameters), visits))
 
     def _step(self, closure: Closure | Trial | None) -> Tensor:
         """One update; the body of every subclass's `step`."""
-        if closure is None:
-            raise InvalidArgumentError("step needs a closure that returns the cost of the roll-outs")
-        for group, exploration in zip(
-            self.param_groups, self.explorations, strict=True
-        ):  # schedules and users write options
-            self._check_options(group)
-            self._check_promise(group, exploration)
-        asked = self._asked
-        if not asked:
-            self._draw(None)
+        if not callable(closure) and not isinstance(closure, Trial):
+            raise InvalidArgumentError(
+                f"step needs a closure that returns the cost of the roll-outs, got {closure!r:.60}; where costs are known, use "
+                "ask() and tell(costs)"
+            )
+        before = Snapshot(self)
+        try:
+            return self._learn(closure)
+        except BaseException:
+            before.restore()
+            raise
+
+    def _learn(self, closure: Closure | Trial) -> Tensor:
+        self._check()
+        with without_autocast(self._first):
+            if not self._asked:
+                self._draw(None)
         groups = [(group, [self.state[p]["noise"] for p in group["params"]]) for group in self.param_groups]
         noise = {p: epsilon for group, all_ in groups for p, epsilon in zip(group["params"], all_, strict=True)}
-        try:
-            trial = evaluate(closure, noise, self.n_rollouts, self.batched) if callable(closure) else closure
-            self._check_costs(trial.costs, noise)
-            weight = {p: float(group["control_weight"]) for group, _ in groups for p in group["params"]}
-            informed = self.costs_per_step or any(weight.values())
-            control = controls(trial.visits, noise, weight, self.control_reference) if informed else []
-            self._check_control(trial.costs, control)
-        except BaseException:
-            if not asked:  # what ask() gave out stays valid, so that tell() can be tried again
-                self._forget()
-            raise
+        trial = evaluate(closure, noise, self.n_rollouts, self.batched) if callable(closure) else closure
+        self._check_costs(trial.costs, noise)
+        with without_autocast(self._first):
+            return self._weigh(groups, noise, trial)
+
+    def _weigh(self, groups: list[tuple[dict[str, Any], list[Tensor]]], noise: Table, trial: Trial) -> Tensor:
+        """The update, from what was tried and what it cost."""
+        weight = {p: float(group["control_weight"]) * p.requires_grad for group, _ in groups for p in group["params"]}
+        informed = self.costs_per_step or any(weight.values())
+        control = controls(trial.visits, noise, weight, self.control_reference) if informed else []
+        self._check_control(trial.costs, control)
         cost = trial.costs.sum(-1) if self.costs_per_step else trial.costs
         effort = torch.zeros_like(cost)
         for part in control:
@@ -271,17 +259,52 @@ class PolicySearch(torch.optim.Optimizer):
         cost = cost + effort
         failed = ~cost.isfinite()
         if failed.all():
-            self._forget()
             raise AllRolloutsFailedError(
                 f"all {cost.numel()} roll-outs had a cost that is not finite; the parameters are unchanged. Explore less "
                 "(lr, mean_speed), or bound the roll-outs"
             )
         if self.elite == "best":
             remember(cost, noise, self.state)
+        before = {p: p.detach().clone() for p in noise}
         weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
+        if (equal := ~informative(cost)).any():
+            self._stay(equal, before)
+        if not all(p.isfinite().all() for p in self._parameters):
+            raise InvalidArgumentError(
+                "the update leads to parameters beyond the largest number; the parameters are unchanged. Explore less (lr)"
+            )
         self._forget()
         self.last = Update(cost, effort, weights[0], failed)
-        return torch.where(failed, 0.0, cost).sum(0) / (~failed).sum(0)
+        valid, n = torch.where(failed, 0.0, cost), (~failed).sum(0)
+        mean = valid.sum(0) / n
+        return torch.where(mean.isinf(), (valid / n).sum(0), mean)  # a sum beyond the largest number
+
+    def _stay(self, equal: Tensor, before: Mapping[nn.Parameter, Tensor]) -> None:
+        """Take back the update of the runs `(*batch)` in which no roll-out was better than another."""
+        for p, value in before.items():
+            p.copy_(torch.where(equal.reshape(*equal.shape, *(1,) * (p.ndim - equal.ndim)), value, p))
+        if not self._warned and any(float(group["lr"]) > 0 for group in self.param_groups):
+            warnings.warn(
+                f"all roll-outs of {int(equal.sum())} of {equal.numel()} runs cost the same, and nothing was learned from "
+                "them: the parameters stay. Explore more, free parameters (requires_grad), or let the cost depend on them",
+                EqualCostsWarning,
+                stacklevel=2,
+            )
+            self._warned = True
+
+    def _check(self) -> None:
+        """Refuse options, parameters and state that cannot be used as they are now: all may have been written from outside."""
+        self.n_rollouts, _ = check_search(
+            self.n_rollouts, self.elite, self.control_reference, self.batched, self.generator
+        )
+        for group, exploration in zip(self.param_groups, self.explorations, strict=True):
+            self._check_options(group)
+            self._check_promise(group, exploration)
+        if not all(p.isfinite().all() for p in self._parameters):
+            raise InvalidArgumentError("parameters have to be finite before a step; some are NaN or infinite")
+        check_entries(
+            self, self.state, ", which belongs to other parameters or options; make a new optimizer for these"
+        )
 
     def _check_costs(self, costs: Tensor, noise: Mapping[nn.Parameter, Tensor]) -> None:
         batch = tuple(costs.shape[1:-1] if self.costs_per_step else costs.shape[1:])
@@ -300,54 +323,3 @@ class PolicySearch(torch.optim.Optimizer):
         Raises:
             InvalidArgumentError: what was received and what is allowed.
         """
-
-    @property
-    def _asked(self) -> bool:
-        """Whether noise is waiting for its costs."""
-        return all("noise" in self.state[p] for group in self.param_groups for p in group["params"])
-
-    def _forget(self) -> None:
-        for group in self.param_groups:
-            for p in group["params"]:
-                self.state[p].pop("noise", None)
-
-    def _draw(self, normals: Sequence[Sequence[Tensor]] | None) -> None:
-        proposed = self._propose(normals)
-        noise = {
-            p: epsilon
-            for group, epsilons in zip(self.param_groups, proposed, strict=True)
-            for p, epsilon in zip(group["params"], epsilons, strict=True)
-        }
-        put_first(self.elite, noise, self.state)
-        for p, epsilon in noise.items():
-            self.state[p]["noise"] = epsilon
-
-    def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
-        """The noise `(N, *shape)` that the next update tries, per group and parameter.
-
-        Args:
-            normals: unit normals to use in place of drawn ones, per group and parameter `(N, *shape)`.
-        """
-        if normals is None:
-            normals = self._normals(self.n_rollouts)
-        noise = []
-        for i, group in enumerate(self.param_groups):
-            shapes = [(self.n_rollouts, *p.shape) for p in group["params"]]
-            unit = list(normals[i]) if i < len(normals) else []
-            if [tuple(z.shape) for z in unit] != shapes:
-                raise InvalidArgumentError(
-                    f"group {i} needs normals of shapes {shapes}, got {[tuple(z.shape) for z in unit]}"
-                )
-            noise.append(self._shape(group, self.explorations[i], unit))
-        return noise
-
-    def _normals(self, n: int) -> list[list[Tensor]]:
-        """Unit normals `(n, *shape)` per group and parameter, drawn on the CPU and moved: the same on every device."""
-        return [
-            [torch.randn((n, *p.shape), generator=self.generator, dtype=p.dtype).to(p.device) for p in group["params"]]
-            for group in self.param_groups
-        ]
-
-    def _shape(self, group: dict[str, Any], exploration: Exploration, normals: list[Tensor]) -> list[Tensor]:
-        """The noise `(n, *shape)` of a group's parameters that `normals` of the same shapes become."""
-        return exploration(group["params"], [group["lr"] * z for z in normals])

@@ -5,15 +5,18 @@ Stability: experimental.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from numbers import Number
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torchds.costs import control_cost
 from torchds.errors import InvalidArgumentError
-from torchds.visits import Visit, listen
+from torchds.visits import Visit, checked, listen
 
 Closure = Callable[[], Tensor]
 Table = Mapping[nn.Parameter, Tensor]
@@ -44,13 +47,7 @@ def evaluate(closure: Closure, noise: Table, n_rollouts: int, batched: bool) -> 
     try:
         if not batched:
             trials = [_call(closure, center, {p: e[n] for p, e in noise.items()}) for n in range(n_rollouts)]
-            costs = torch.stack([trial.costs for trial in trials])
-            # The n-th calls report the same roll-outs one after the other; each becomes one visit with N in front.
-            visits = [
-                Visit(same[0].policy, torch.stack([visit.features for visit in same]))
-                for same in zip(*(trial.visits for trial in trials), strict=True)
-            ]
-            return Trial(costs, visits)
+            return _stacked(trials)
         try:
             return _call(closure, center, noise)
         except RuntimeError as error:
@@ -64,14 +61,64 @@ def evaluate(closure: Closure, noise: Table, n_rollouts: int, batched: bool) -> 
             p.data = value
 
 
+def _stacked(trials: Sequence[Trial]) -> Trial:
+    """N trials of one policy each as one of N policies."""
+    kinds = {(tuple(t.costs.shape), *(tuple(visit.features.shape) for visit in t.visits)) for t in trials}
+    if len(kinds) > 1:
+        raise InvalidArgumentError(
+            "with batched=False every call of the closure has to return a cost of the same shape and make roll-outs of the "
+            f"same number of steps, got costs (and features) of shapes {sorted(kinds)}"
+        )
+    # The n-th calls report the same roll-outs one after the other; each becomes one visit with N in front.
+    visits = [
+        Visit(same[0].policy, torch.stack([visit.features for visit in same]))
+        for same in zip(*(trial.visits for trial in trials), strict=True)
+    ]
+    return Trial(torch.stack([trial.costs for trial in trials]), visits)
+
+
 def _call(closure: Closure, center: Table, noise: Table) -> Trial:
     for p, value in center.items():
         p.data = value + noise[p]
     with listen() as visits:
         costs: Any = closure()
-    if not isinstance(costs, Tensor):  # plain numbers take the parameters' precision
-        costs = torch.as_tensor(costs, dtype=next(iter(center.values())).dtype)
-    return Trial(costs.clone(), visits)
+    return Trial(as_costs(costs, center), visits)
+
+
+def as_costs(costs: Any, parameters: Iterable[Tensor]) -> Tensor:
+    """Costs of any type as a tensor of their own: in the dtype of the parameters, the widest where there are several.
+
+    Args:
+        costs: a tensor, an array, a number, or a list of numbers.
+        parameters: that they belong to, at least one.
+
+    Raises:
+        InvalidArgumentError: anything else.
+    """
+    parameters = list(parameters)
+    # float32 at least: half precision has no quantiles.
+    dtype = functools.reduce(torch.promote_types, [p.dtype for p in parameters], torch.float32)
+    found = costs
+    try:
+        if isinstance(costs, (list, tuple)):
+            found = [value.item() if isinstance(value, Tensor) else value for value in costs]
+        if not isinstance(found, Tensor):
+            array = np.asarray(found)
+            if array.dtype.kind in "biuf" or (array.size and all(isinstance(value, Number) for value in array.flat)):
+                found = torch.from_numpy(np.array(array, dtype=np.float64))
+        if isinstance(found, Tensor) and not found.is_complex() and not found.is_meta:
+            found = found.to_dense() if found.layout != torch.strided else found
+            return found.detach().to(parameters[0].device, dtype, copy=True)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        pass
+    hint = {
+        dict: "; return their sum, e.g. sum(terms.values())",
+        tuple: "; return the cost alone",
+        type(None): "; does the closure end with `return cost`?",
+    }.get(type(costs), "")
+    raise InvalidArgumentError(
+        f"costs have to be a tensor, an array or numbers, got {type(costs).__name__} {costs!r:.60}{hint}"
+    )
 
 
 class Control(NamedTuple):
@@ -100,14 +147,25 @@ def controls(
         reference: "demonstrated" measures θ from the demonstrated policy (Eq. 12-13), "zero" from zero (Eq. 11).
 
     Raises:
-        InvalidArgumentError: no roll-out of an optimised policy was reported.
+        InvalidArgumentError: no roll-out of an optimised policy was reported, or features that are not its own.
     """
     found = []
-    for policy, features in visits:
+    for visit in visits:
+        policy, features = checked(visit)
         if not any(p in noise for p in policy.row_parameters.values()):
             continue  # not one of the optimised policies, for example a reference
         r = policy.rows(lambda p: torch.full_like(p, weight.get(p, 0.0)))
         epsilon = policy.rows(lambda p: noise[p] if p in noise else torch.zeros_like(p))
+        if (
+            features.ndim < epsilon.ndim
+            or features.shape[: epsilon.ndim - 2] != epsilon.shape[:-2]
+            or (features.shape[-1] != epsilon.shape[-1])
+        ):
+            raise InvalidArgumentError(
+                f"features of a visit have to be (N, *batch, *points, T, F) with (N, *batch) = {tuple(epsilon.shape[:-2])} and "
+                f"F = {epsilon.shape[-1]}, got {tuple(features.shape)}"
+            )
+        features = features.to(epsilon)
         deviation = policy.rows() - (policy.initial_rows if reference == "demonstrated" else 0.0)
         upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r.expand_as(epsilon))
         found.append(Control(Visit(policy, features), upsilon, epsilon))

@@ -7,7 +7,7 @@ Stability: stable.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -53,11 +53,12 @@ def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
     Raises:
         InvalidArgumentError: an unknown temperature.
     """
-    if temperature not in ("range", "median", "capped"):
-        raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {temperature!r}")
+    check_temperature(temperature)
     valid = costs.isfinite()
     low = torch.where(valid, costs, torch.inf).amin(0)
-    above = torch.where(valid, costs - low, torch.inf)  # S − min S
+    high = torch.where(valid, costs, -torch.inf).amax(0)
+    half = torch.where((high - low).isposinf(), 0.5, 1.0).to(costs)  # a range beyond the largest number is halved
+    above = torch.where(valid, half * costs - half * low, torch.inf)  # S − min S
     spread = torch.where(valid, above, 0.0).amax(0)
     if temperature != "range":
         median = torch.where(valid, above, torch.nan).nanquantile(0.5, dim=0)
@@ -66,6 +67,21 @@ def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
     if temperature == "capped":
         ratio = ratio.clamp(max=1.0)
     return torch.where(valid, torch.where(above > 0, ratio, 0.0), torch.inf)
+
+
+def check_temperature(temperature: Any) -> None:
+    """Refuse what is no temperature.
+
+    Raises:
+        InvalidArgumentError: what was received and what is allowed.
+    """
+    if not isinstance(temperature, str) or temperature not in get_args(Temperature):
+        raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {temperature!r}")
+
+
+def informative(costs: Tensor) -> Tensor:
+    """`(...)` False where no roll-out is better than another: N > 1 costs `(N, ...)` are all finite and equal."""
+    return (costs != costs[:1]).any(0) | ~costs.isfinite().all(0) | (len(costs) == 1)
 
 
 def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float = 1e-3) -> Tensor:
@@ -91,9 +107,10 @@ def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float
     Z, z = tried.movedim(0, -2), candidates.movedim(0, -2)
     squares = torch.cdist(Z, Z).square()  # (*batch, M, M)
     scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(torch.finfo(Z.dtype).tiny)
-    kernel = torch.exp(-0.5 * squares / scale)
+    # Coordinates near the largest number have no distance; they count as far apart.
+    kernel = torch.exp(-0.5 * squares / scale).nan_to_num(nan=0.0)
     kernel.diagonal(dim1=-2, dim2=-1).add_(noise)
-    across = torch.exp(-0.5 * torch.cdist(z, Z).square() / scale)  # (*batch, n, M)
+    across = torch.exp(-0.5 * torch.cdist(z, Z).square() / scale).nan_to_num(nan=0.0)  # (*batch, n, M)
     weights = torch.cholesky_solve(known, torch.linalg.cholesky(kernel))
     return (across @ weights).squeeze(-1).movedim(-1, 0)
 
@@ -113,7 +130,12 @@ def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
 
 
 def time_averaged_update(
-    weights: Tensor, noise: Tensor, features: Tensor, gating: Tensor | None, projected: bool = True
+    weights: Tensor,
+    noise: Tensor,
+    features: Tensor,
+    gating: Tensor | None,
+    projected: bool = True,
+    free: Tensor | None = None,
 ) -> Tensor:
     """δθ in rows: the updates Σ_i P_i M ε_i of all steps, averaged with the weights T − t (times the gating), as PI² does.
 
@@ -126,6 +148,7 @@ def time_averaged_update(
         gating: `(N, *batch, T, F)` activation of each feature's component, of which the mean over N counts; None for
             the time alone.
         projected: False averages ε in place of M ε.
+        free: `(*batch, O, F)` one where a parameter may move, zero where it is frozen and M does not see it; None for all.
 
     Returns:
         `(*batch, O, F)`, one row per output.
@@ -136,6 +159,11 @@ def time_averaged_update(
     share = share / share.sum(-2, keepdim=True).clamp_min(torch.finfo(share.dtype).tiny)
     if not projected:
         return ((weights.unsqueeze(-2) @ share) * noise).sum(0)
-    size = features.square().sum(-1, keepdim=True).clamp_min(torch.finfo(features.dtype).tiny)
-    along = noise @ (features / size).mT  # (N, *batch, O, T): g·ε/|g|²
-    return ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)
+    tiny = torch.finfo(features.dtype).tiny
+    if free is None:
+        size = features.square().sum(-1, keepdim=True).clamp_min(tiny)
+        along = noise @ (features / size).mT  # (N, *batch, O, T): g·ε/|g|²
+        return ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)
+    size = free @ features.square().mT  # |g|² of each row, (N, *batch, O, T)
+    along = (noise * free) @ features.mT / size.clamp_min(tiny)
+    return free * ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)

@@ -6,13 +6,15 @@ Stability: stable.
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Mapping
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict, get_args
 
 import torch
 
+from torchds.arrays import count, number
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from torchds.optim.functional import Temperature, cost_weights
+from torchds.optim.functional import Temperature, check_temperature
 
 ControlReference = Literal["demonstrated", "zero"]
 Elite = Literal["none", "nominal", "best"]
@@ -54,6 +56,9 @@ DEFAULTS: SharedOptions = {
     "generator": None,
 }
 
+IN_GROUPS = ("eliteness", "temperature", "control_weight")
+"""The shared options that each group may have its own of."""
+
 
 def completed(given: SharedOptions, defaults: SharedOptions, search: type) -> SharedOptions:
     """`given` with `defaults` for what it does not say.
@@ -65,34 +70,61 @@ def completed(given: SharedOptions, defaults: SharedOptions, search: type) -> Sh
 
     Raises:
         UnknownNameError: an option that the search does not have; lists those that it has.
-        InvalidArgumentError: a `control_reference` or `elite` that does not exist.
     """
     for name in given:
         if name not in defaults:
             own = [p.name for p in inspect.signature(search).parameters.values() if p.kind is not p.VAR_KEYWORD]
             raise UnknownNameError(f"option of {search.__name__}", name, [*own, *defaults])
-    options: SharedOptions = {**defaults, **given}
-    if options["control_reference"] not in ("demonstrated", "zero"):
-        raise InvalidArgumentError(
-            f"control_reference has to be 'demonstrated' or 'zero', got {options['control_reference']!r}"
-        )
-    if options["elite"] not in ("none", "nominal", "best"):
-        raise InvalidArgumentError(f"elite has to be 'none', 'nominal' or 'best', got {options['elite']!r}")
-    return options
+    return {**defaults, **given}
 
 
-def check_group(group: Mapping[str, Any]) -> None:
-    """Refuse shared options of a group that are out of their range.
+def check_search(
+    n_rollouts: Any, elite: Any, control_reference: Any, batched: Any, generator: Any
+) -> tuple[int, torch.Generator]:
+    """Refuse options of a search as a whole that are out of their range.
+
+    Returns:
+        N as int, and the generator.
 
     Raises:
         InvalidArgumentError: what was received and what is allowed.
     """
+    for name, value, allowed in (
+        ("control_reference", control_reference, get_args(ControlReference)),
+        ("elite", elite, get_args(Elite)),
+    ):
+        if not isinstance(value, str) or value not in allowed:
+            *others, last = map(repr, allowed)
+            raise InvalidArgumentError(f"{name} has to be {', '.join(others)} or {last}, got {value!r}")
+    n_rollouts = count("n_rollouts", n_rollouts, 1)
+    if elite != "none" and n_rollouts < 2:
+        raise InvalidArgumentError(f"elite={elite!r} needs n_rollouts ≥ 2, got {n_rollouts}")
+    if batched not in (True, False):
+        raise InvalidArgumentError(f"batched has to be True or False, got {batched!r}")
+    if generator is None:
+        generator = torch.Generator().manual_seed(0)
+    if not isinstance(generator, torch.Generator) or generator.device.type != "cpu":
+        seed = generator if isinstance(generator, int) else 0
+        raise InvalidArgumentError(
+            f"generator has to be a torch.Generator on the CPU, got {generator!r}; use torch.Generator().manual_seed({seed})"
+        )
+    return n_rollouts, generator
+
+
+def check_group(group: Mapping[str, Any]) -> None:
+    """Refuse shared options of a group that are missing or out of their range.
+
+    Raises:
+        InvalidArgumentError: what was received and what is allowed.
+    """
+    if missing := [name for name in ("lr", *IN_GROUPS) if name not in group]:
+        raise InvalidArgumentError(f"a group needs the options {missing}, got {sorted(group)}")
     for name in ("lr", "control_weight"):
-        if not group[name] >= 0:
-            raise InvalidArgumentError(f"{name} has to be ≥ 0, got {group[name]}")
-    if not group["eliteness"] > 0:
-        raise InvalidArgumentError(f"eliteness has to be positive, got {group['eliteness']}")
-    cost_weights(torch.zeros(1), temperature=group["temperature"])  # refuses names that it does not know
+        number(name, group[name], "≥ 0", lambda value: value >= 0)
+    number("eliteness", group["eliteness"], "positive", lambda value: value > 0)
+    for name in ("lr", "control_weight", "eliteness"):
+        number(name, group[name], "finite", math.isfinite)
+    check_temperature(group["temperature"])
 
 
 def described(defaults: SharedOptions) -> str:

@@ -6,7 +6,7 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, Unpack
+from typing import Any, ClassVar, Literal, Unpack
 
 import torch
 from torch import Tensor
@@ -48,6 +48,7 @@ class PI2(PolicySearch):
     """
 
     costs_per_step = True
+    entries: ClassVar = PolicySearch.entries
 
     def __init__(
         self,
@@ -71,8 +72,10 @@ class PI2(PolicySearch):
 
     def _check_options(self, group: Mapping[str, Any]) -> None:
         super()._check_options(group)
-        if group["weighting"] not in ("gating", "time"):
-            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {group['weighting']!r}")
+        if group.get("weighting") not in ("gating", "time"):
+            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {group.get('weighting')!r}")
+        if group.get("projected") not in (True, False):
+            raise InvalidArgumentError(f"projected has to be True or False, got {group.get('projected')!r}")
 
     @torch.no_grad()
     def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]
@@ -105,14 +108,17 @@ class PI2(PolicySearch):
     ) -> Tensor:
         part = control[0]
         to_go = cost_to_go(steps, part.upsilon)
-        weights = cost_weights(to_go, group["eliteness"], group["temperature"])
+        weights = cost_weights(to_go, float(group["eliteness"]), group["temperature"])
         policy, features = part.visit
         # A roll-out that failed does not count, nor does a state at infinity.
         counts = to_go.isfinite() & features.isfinite().all(-1)
         features = torch.where(counts.unsqueeze(-1), features, 0.0)
         gating = policy.feature_gating(features) if group["weighting"] == "gating" else None
-        rows = time_averaged_update(weights, part.noise, features, gating, group["projected"])
+        frozen = not all(p.requires_grad for p in policy.row_parameters.values())
+        free = policy.rows(lambda p: torch.full_like(p, float(p.requires_grad))) if frozen else None
+        rows = time_averaged_update(weights, part.noise, features, gating, group["projected"], free)
         update = {policy.row_parameters[name]: change for name, change in policy.from_rows(rows).items()}
         for p in group["params"]:
-            p.add_(update[p])
+            if p.requires_grad:
+                p.add_(update[p])
         return weights.mean(-1)

@@ -6,16 +6,32 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import torch
 from torch import Tensor
 
+from torchds.arrays import number
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
+from torchds.optim.checkpoints import NOISE, Entry, Place, Shape, finite
 from torchds.optim.evaluation import Control
+from torchds.optim.functional import informative
 from torchds.optim.options import SharedOptions
 from torchds.optim.pibb import PIBB
+
+
+def _square(shape: Shape, at: Place) -> bool:
+    runs = shape[:-2]
+    size = sum(p[(0,) * len(runs)].numel() for p in at.group["params"]) if runs == at.shape[: len(runs)] else -1
+    return len(shape) >= 2 and shape[-2:] == (size, size)
+
+
+def _positive(value: Tensor) -> bool:
+    return finite(value) and bool((torch.linalg.cholesky_ex(value).info == 0).all())
+
+
+COVARIANCE = Entry("(*batch, P, P), positive definite", _square, of="group", holds=_positive)
 
 
 class PI2CMA(PIBB):
@@ -53,6 +69,13 @@ class PI2CMA(PIBB):
         True
     """
 
+    entries: ClassVar = {
+        **PIBB.entries,
+        "noise": NOISE._replace(beside="normals"),
+        "normals": NOISE._replace(beside="noise"),
+        "covariance": COVARIANCE,
+    }
+
     def __init__(
         self,
         params: Iterable[Any],
@@ -64,21 +87,27 @@ class PI2CMA(PIBB):
         lower_bound: float = 1e-4,
         **shared: Unpack[SharedOptions],
     ) -> None:
-        if shared.get("elite") == "best":
-            raise InvalidArgumentError("elite of PI2CMA has to be 'none' or 'nominal', got 'best'; use PIBB with it")
-        if not (0 <= rate <= 1 and 0 < lower_bound <= 1):
-            raise InvalidArgumentError(
-                f"rate has to be in [0, 1] and lower_bound in (0, 1], got {rate} and {lower_bound}"
-            )
         self.rate, self.lower_bound = rate, lower_bound
+        self._check_own(shared.get("elite"))
         super().__init__(params, exploration, n_rollouts, lr, **shared)
 
+    def _check_own(self, elite: Any) -> None:
+        if elite == "best":
+            raise InvalidArgumentError("elite of PI2CMA has to be 'none' or 'nominal', got 'best'; use PIBB with it")
+        self.rate = number("rate", self.rate, "in [0, 1]", lambda c: 0 <= c <= 1)
+        self.lower_bound = number("lower_bound", self.lower_bound, "in (0, 1]", lambda bound: 0 < bound <= 1)
+
+    def _check(self) -> None:
+        super()._check()
+        self._check_own(self.elite)
+
     def _shape(self, group: dict[str, Any], exploration: Exploration, normals: list[Tensor]) -> list[Tensor]:
-        first = group["params"][0]
-        if "covariance" in self.state[first]:
-            root = torch.linalg.cholesky(self.state[first]["covariance"])
+        known = self.state[group["params"][0]]
+        if "covariance" in known:
+            root = torch.linalg.cholesky(known["covariance"])
             drawn = _stack(normals, root.ndim - 1)
             normals = _cut((root @ drawn.unsqueeze(-1)).squeeze(-1), normals)
+        normals = [z if p.requires_grad else torch.zeros_like(z) for p, z in zip(group["params"], normals, strict=True)]
         if self.elite == "nominal":
             normals = [torch.cat([torch.zeros_like(z[:1]), z[1:]]) for z in normals]
         for p, z in zip(group["params"], normals, strict=True):
@@ -91,19 +120,25 @@ class PI2CMA(PIBB):
         weights = super()._update(group, noise, cost, steps, control)
         state = self.state[group["params"][0]]
         z = _stack([self.state[p]["normals"] for p in group["params"]], cost.ndim)  # (N, *batch, P)
-        moment = torch.einsum("n...,n...i,n...j->...ij", weights, z, z)
+        moment = torch.einsum("n...,n...i,n...j->...ij", weights.to(z), z, z)
         before = state.get("covariance", torch.eye(z.shape[-1], dtype=z.dtype, device=z.device).expand_as(moment))
-        # A run all of whose roll-outs failed has no weights; its covariance stays.
-        learned = before + self.rate * weights.sum(0)[..., None, None] * (moment - before)
+        if not all(p.requires_grad for p in group["params"]):  # what is frozen keeps its own covariance
+            whole = [
+                torch.full_like(z[:1], float(not p.requires_grad)) for p, z in zip(group["params"], noise, strict=True)
+            ]
+            frozen = _stack(whole, cost.ndim)[0]
+            moment = moment + before * frozen.unsqueeze(-1) * frozen.unsqueeze(-2)
+        # A run that has no weights since all of its roll-outs failed, or equal ones, keeps its covariance.
+        rate = self.rate * (weights.sum(0) * informative(cost)).to(z)
+        learned = before + rate[..., None, None] * (moment - before)
         values, vectors = torch.linalg.eigh(learned)
         state["covariance"] = (vectors * values.clamp_min(self.lower_bound).unsqueeze(-2)) @ vectors.mT
         return weights
 
     def _forget(self) -> None:
         super()._forget()
-        for group in self.param_groups:
-            for p in group["params"]:
-                self.state[p].pop("normals", None)
+        for entries in self.state.values():
+            entries.pop("normals", None)
 
 
 def _stack(parts: list[Tensor], lead: int) -> Tensor:

@@ -6,7 +6,7 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import torch
 from torch import Tensor
@@ -51,6 +51,8 @@ class PIBB(PolicySearch):
         True
     """
 
+    entries: ClassVar = PolicySearch.entries
+
     def __init__(
         self,
         params: Iterable[Any],
@@ -77,7 +79,9 @@ class PIBB(PolicySearch):
     def _update(
         self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
     ) -> Tensor:
-        weights = cost_weights(cost, group["eliteness"], group["temperature"])
+        weights = cost_weights(cost, float(group["eliteness"]), group["temperature"])
         for p, epsilon in zip(group["params"], noise, strict=True):
-            p.add_((weights.reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim)) * epsilon).sum(0))
+            if p.requires_grad:
+                each = weights.to(epsilon).reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim))
+                p.add_((each * epsilon).sum(0))
         return weights

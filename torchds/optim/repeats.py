@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 from torch import Tensor, nn
 
-from torchds.errors import InvalidArgumentError
-from torchds.optim.evaluation import Closure
+from torchds.arrays import count
+from torchds.optim.evaluation import Closure, as_costs
 from torchds.visits import listen, report
 
 
@@ -43,8 +43,7 @@ def repeated(closure: Closure, parameters: Iterable[nn.Parameter], repeats: int)
         >>> optim = torchds.optim.PIBB([theta], torchds.exploration.Gaussian(0.3), n_rollouts=20 // 4)
         >>> cost = optim.step(torchds.optim.repeated(closure, [theta], repeats=4))
     """
-    if repeats < 1:
-        raise InvalidArgumentError(f"repeats has to be at least 1, got {repeats}")
+    repeats = count("repeats", repeats, 1)
     parameters = list(parameters)
 
     def averaged() -> Tensor:
@@ -53,7 +52,7 @@ def repeated(closure: Closure, parameters: Iterable[nn.Parameter], repeats: int)
             for p in parameters:
                 p.data = p.data.expand(repeats, *p.shape)
             with listen() as visits:
-                costs = closure()  # (R, *batch)
+                costs = as_costs(closure(), parameters)  # (R, *batch)
         finally:
             for p, value in zip(parameters, center, strict=True):
                 p.data = value

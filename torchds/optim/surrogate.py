@@ -11,8 +11,10 @@ from typing import Any, ClassVar, Unpack
 import torch
 from torch import Tensor
 
+from torchds.arrays import count
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
+from torchds.optim.checkpoints import Entry
 from torchds.optim.evaluation import Control
 from torchds.optim.functional import predict_costs
 from torchds.optim.options import SharedOptions
@@ -52,6 +54,22 @@ class SurrogatePIBB(PIBB):
         True
     """
 
+    entries: ClassVar = {
+        **PIBB.entries,
+        "tried": Entry(
+            "(M, *shape)",
+            lambda shape, at: shape[1:] == at.shape and shape[0] > 0,
+            beside="tried_cost",
+            holds=lambda value: True,
+        ),
+        "tried_cost": Entry(
+            "(M, *batch)",
+            lambda shape, at: len(shape) > 0 and shape[1:] == at.shape[: len(shape) - 1],
+            of="search",
+            beside="tried",
+            holds=lambda value: bool(value.isfinite().any()),
+        ),
+    }
     shared_defaults: ClassVar[SharedOptions] = {**PIBB.shared_defaults, "temperature": "capped", "elite": "nominal"}
 
     def __init__(
@@ -65,12 +83,21 @@ class SurrogatePIBB(PIBB):
         memory: int = 80,
         **shared: Unpack[SharedOptions],
     ) -> None:
-        if n_candidates < n_rollouts or memory < 1:
-            raise InvalidArgumentError(
-                f"n_candidates ≥ n_rollouts and memory ≥ 1 are needed, got {n_candidates} for {n_rollouts} and {memory}"
-            )
         self.n_candidates, self.memory = n_candidates, memory
         super().__init__(params, exploration, n_rollouts, lr, **shared)
+        self._check_own()
+
+    def _check_own(self) -> None:
+        self.n_candidates, self.memory = count("n_candidates", self.n_candidates, 0), count("memory", self.memory, 0)
+        if self.n_candidates < self.n_rollouts or self.memory < 1:
+            raise InvalidArgumentError(
+                f"n_candidates ≥ n_rollouts and memory ≥ 1 are needed, got {self.n_candidates} for {self.n_rollouts} and "
+                f"{self.memory}"
+            )
+
+    def _check(self) -> None:
+        super()._check()
+        self._check_own()
 
     def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
         known = self.state[self.param_groups[0]["params"][0]]
@@ -98,7 +125,8 @@ class SurrogatePIBB(PIBB):
     ) -> Tensor:
         for p, epsilon in zip(group["params"], noise, strict=True):
             self._keep(p, "tried", p + epsilon)
-        self._keep(group["params"][0], "tried_cost", cost)
+        if group is self.param_groups[0]:
+            self._keep(group["params"][0], "tried_cost", cost)
         return super()._update(group, noise, cost, steps, control)
 
     def _keep(self, p: Tensor, name: str, values: Tensor) -> None:

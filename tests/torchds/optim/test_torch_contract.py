@@ -251,7 +251,7 @@ def test_state_dict_hooks_fire_once():
     optim.register_load_state_dict_post_hook(lambda _: fired.append("loaded"))
     state = optim.state_dict()
     assert state["mine"] == 1
-    assert set(state) == {"state", "param_groups", "generator", "explorations", "mine"}
+    assert set(state) == {"state", "param_groups", "search", "generator", "explorations", "mine"}
     optim.load_state_dict(state)
     assert fired == ["save", "saved", "load", "loaded"]
 
@@ -291,7 +291,7 @@ def test_every_torch_scheduler_decays_the_exploration_as_it_does_sgd(name, halve
     optim, closure = small(lr=0.6)
     sgd = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=0.6)
     schedulers = [SCHEDULERS[name](o) for o in (optim, sgd)]
-    z = torch.ones(4, 2)
+    z = torch.arange(1.0, 9.0).reshape(4, 2)
     rates = []
     for _ in range(6):
         theta = optim.param_groups[0]["params"][0].detach().clone()
