@@ -63,6 +63,12 @@ def tensors(what: str, arrays: Sequence[Array] | Tensor) -> list[Tensor]:
     return [value.to(values[0].device, dtype) for value in values]
 
 
+def shown(value: object) -> str:
+    """What a user gave, in one short line."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= 80 else f"{line[:77]}..."
+
+
 def like(name: str, value: Array, reference: Tensor) -> Tensor:
     """What a user gave as tensor of the dtype and on the device of `reference`; gradients pass.
 
@@ -77,7 +83,7 @@ def like(name: str, value: Array, reference: Tensor) -> Tensor:
             pass
     if not isinstance(value, Tensor) or value.is_complex() or value.is_meta != reference.is_meta:
         raise InvalidArgumentError(
-            f"{name} has to be a tensor or an array of real numbers, got {value!r:.80}; give torch.as_tensor(...)"
+            f"{name} has to be a tensor or an array of real numbers, got {shown(value)}; give torch.as_tensor(...)"
         )
     return value.to(reference.device, reference.dtype)
 
@@ -152,7 +158,7 @@ def number(name: str, value: Any, allowed: str, fits: Callable[[float], bool]) -
     except (TypeError, ValueError, RuntimeError, OverflowError):
         found = math.nan
     if not fits(found):
-        raise InvalidArgumentError(f"{name} has to be {allowed}, got {value!r:.80}")
+        raise InvalidArgumentError(f"{name} has to be {allowed}, got {shown(value)}")
     return found
 
 

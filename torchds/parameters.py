@@ -41,7 +41,7 @@ class ExpertParameters(nn.Module):
         named = {"A": A, "b": b, "stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
         for name, value in named.items():
             self.register_buffer(f"initial_{name}", value.detach().clone())
-            if value.numel() or not name.startswith("stiffness"):
+            if not name.startswith("stiffness") or stiffness_A.shape[-2]:
                 self.register_parameter(name, nn.Parameter(value.detach().clone()))
             else:
                 self.register_parameter(name, None)

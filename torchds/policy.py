@@ -6,6 +6,8 @@ Stability: stable.
 from __future__ import annotations
 
 import copy
+import functools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -13,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import stability
+from torchds.arrays import like, shown
 from torchds.errors import InvalidArgumentError
 from torchds.mixture import GaussianMixture
 from torchds.parameters import ExpertParameters, arrange
@@ -77,6 +80,9 @@ class GMRPolicy(ExpertParameters):
         stiffness_A: Tensor | None = None,
         stiffness_b: Tensor | None = None,
     ) -> None:
+        given: dict[str, Any] = {"priors": priors, "means": means, "covariances": covariances, "A": A, "b": b}
+        given |= {"stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
+        priors, means, covariances, A, b, stiffness_A, stiffness_b = _of_one_dtype(given)
         gate = GaussianMixture(priors, means, covariances)
         K, D = means.shape[-2:]
         if (stiffness_A is None) != (stiffness_b is None):
@@ -232,19 +238,29 @@ class GMRPolicy(ExpertParameters):
         Raises:
             InvalidArgumentError: `x` does not end with the D inputs.
         """
-        if x.shape[-1:] != (self.input_dim,):
-            raise InvalidArgumentError(f"x has to end with the policy's {self.input_dim} inputs, got {tuple(x.shape)}")
+        x = self._checked(x)
         z = self._whitened(x)
         limit = torch.finfo(z.dtype).max ** 0.5 / (4 * self.input_dim)  # squares stay finite
         squares = torch.unflatten(z.clamp(-limit, limit).square(), -1, (self.n_components, self.input_dim)).sum(-1)
         return torch.softmax(self._at_points(self._log_scale, 1, x) - 0.5 * squares, -1)
 
+    def _checked(self, x: Tensor) -> Tensor:
+        """States `(..., D)` of any type of numbers, in the dtype of the policy."""
+        x = like("x", x, self.means)
+        if x.shape[-1:] != (self.input_dim,):
+            raise InvalidArgumentError(f"x has to end with the policy's {self.input_dim} inputs, got {tuple(x.shape)}")
+        return x
+
     def _whitened(self, x: Tensor) -> Tensor:
         """L_k⁻¹ (x − μ_k) for all components, `(..., K D)`."""
         W = self.factors.flatten(-3, -2)
+        far = torch.finfo(W.dtype).max ** 0.5 / (
+            4 * self.input_dim
+        )  # beyond, a product would be infinity minus infinity
         if W.ndim == 2:
-            return F.linear(x - self._center, W, self._offset)
-        centered, offset = x - self._at_points(self._center, 1, x), self._at_points(self._offset, 1, x)
+            return F.linear((x - self._center).clamp(-far, far), W, self._offset)
+        centered = (x - self._at_points(self._center, 1, x)).clamp(-far, far)
+        offset = self._at_points(self._offset, 1, x)
         n_points = x.ndim - 1 - len(self.batch_shape)
         if n_points == 0:
             return (W @ centered.unsqueeze(-1)).squeeze(-1) + offset
@@ -260,6 +276,7 @@ class GMRPolicy(ExpertParameters):
 
     def features(self, x: Tensor) -> Tensor:
         """h_k(x) [x, 1], `(..., K (D+1))`: every output is linear in these features (Eq. 8-9)."""
+        x = self._checked(x)
         return (self.gating(x).unsqueeze(-1) * F.pad(x, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
 
     def feature_gating(self, features: Tensor) -> Tensor:
@@ -286,7 +303,7 @@ class GMRPolicy(ExpertParameters):
 
     def basis(self, x: Tensor) -> Tensor:
         """G of Eq. 8-9 and 42-43, `(..., O+Q, P)`: `basis(x) @ pack()` is [ẋ; s]."""
-        n = self.output_dim + self.stiffness_dim
+        x, n = self._checked(x), self.output_dim + self.stiffness_dim
         identity = torch.eye(n, dtype=x.dtype, device=x.device)
         slopes = (identity.unsqueeze(-1) * x[..., None, None, :]).flatten(-2)  # (..., O+Q, (O+Q) D)
         block = torch.cat([slopes, identity.expand(*slopes.shape[:-1], n)], -1)
@@ -297,7 +314,7 @@ class GMRPolicy(ExpertParameters):
 
         .. math:: \sum_k h_k (A_k + y_k (σ_k - \sum_j h_j σ_j)^T), \quad y_k = A_k x + b_k, \quad σ_k = -Σ_k^{-1} (x - μ_k).
         """
-        K, D = self.n_components, self.input_dim
+        x, K, D = self._checked(x), self.n_components, self.input_dim
         h = self.gating(x)  # (*batch, *points, K)
         z = torch.unflatten(self._whitened(x), -1, (K, D))
         score = -(z.unsqueeze(-2) @ self._at_points(self.factors, 3, x)).squeeze(-2)  # σ_k, (*batch, *points, K, D)
@@ -311,3 +328,21 @@ class GMRPolicy(ExpertParameters):
     def certificate(self, goal: Tensor, P: Tensor | None = None) -> stability.Certificate:
         """What proves that every motion of this policy ends at `goal`; see `torchds.stability.certificate`."""
         return stability.certificate(self, goal, P)
+
+
+def _of_one_dtype(given: Mapping[str, Any]) -> Any:
+    """What makes a policy as tensors of the widest dtype among them; None stays None.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers, or slopes and offsets that are not finite.
+    """
+    kinds = [value.dtype for value in given.values() if isinstance(value, Tensor) and value.is_floating_point()]
+    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
+    device = next((value.device for value in given.values() if isinstance(value, Tensor)), torch.device("cpu"))
+    reference = torch.empty(0, dtype=dtype, device=device)
+    tensors = {name: None if value is None else like(name, value, reference) for name, value in given.items()}
+    for name in ("A", "b", "stiffness_A", "stiffness_b"):
+        value = tensors[name]
+        if value is not None and not value.isfinite().all():
+            raise InvalidArgumentError(f"{name} has to be finite, got NaN or infinity in {shown(value)}")
+    return tensors.values()

@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchds import visits
+from torchds.arrays import Array, count, like, number, without_autocast
 from torchds.errors import InvalidArgumentError
 from torchds.parameters import broadcast_shape
 from torchds.plants import Command, Plant
@@ -20,7 +22,7 @@ from torchds.plants import Command, Plant
 StopCondition = Callable[[Tensor, Tensor], Tensor]
 """(x, x_next), each `(*batch, *points, D)` -> bool `(*batch, *points)`: True where the step must not be taken."""
 
-Shift = Tensor | Callable[[float], Tensor]
+Shift = Array | Callable[[float], Array]
 """`(D,)`, `(*points, D)` or `(*batch, *points, D)`, or a function of the time [s] that returns one of these."""
 
 
@@ -109,10 +111,16 @@ class Bounds:
         """True where `x_next` is outside."""
         return ~((x_next >= self.low) & (x_next <= self.high)).all(-1)
 
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, float, Tensor)):
+                object.__setattr__(self, name, like(name, value, torch.zeros((), dtype=torch.float64)))
+
 
 def rollout(
     policy: DynamicalSystem,
-    x0: Tensor,
+    x0: Array,
     n_steps: int,
     dt: float,
     *,
@@ -126,7 +134,7 @@ def rollout(
     Args:
         policy: a `GMRPolicy` or another `DynamicalSystem`, with any batch_shape.
         x0: `(*points, D)` starts that every policy of the batch sets out from; or, with starts="per_policy",
-            `(*batch_shape, *points, D)` starts of each policy's own.
+            `(*batch_shape, *points, D)` starts of each policy's own. Taken in the dtype of the policy.
         n_steps: T.
         dt: time step [s].
         starts: how the leading dimensions of `x0` are read.
@@ -143,7 +151,9 @@ def rollout(
         InvalidArgumentError: wrong dimension or leading shape of `x0` or `shift`, n_steps < 1, dt ≤ 0, or a policy with
             fewer velocities than inputs.
     """
-    D, batch = policy.input_dim, policy.batch_shape
+    D, batch, rows = policy.input_dim, policy.batch_shape, policy.rows()
+    x0, n_steps = like("x0", x0, rows), count("n_steps", n_steps, 1)
+    dt = number("dt", dt, "positive and finite", lambda step: 0 < step < math.inf)
     if x0.shape[-1:] != (D,):
         raise InvalidArgumentError(f"x0 has to end with the policy's {D} inputs, got shape {tuple(x0.shape)}")
     if starts not in ("shared", "per_policy"):
@@ -156,28 +166,24 @@ def rollout(
         raise InvalidArgumentError(
             f"a policy of {D} inputs has to have as many velocities or more, got {policy.output_dim}"
         )
-    if n_steps < 1 or not 0 < dt < float("inf"):
-        raise InvalidArgumentError(
-            f"n_steps has to be ≥ 1 and dt positive and finite, got n_steps={n_steps} and dt={dt}"
-        )
     x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
-    rows = policy.rows()
-    O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
-    moments, features, stiffness, inputs = [now], [], [], []
-    for i in range(n_steps):
-        if shift is None:
-            g = policy.features(now.x)
-        else:
-            inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
-            g = policy.features(inputs[-1])
-        y = policy.outputs(g, rows)
-        v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
-        now = advance(now, v, s, i * dt, dt, stop, plant)
-        moments.append(now)
-        features.append(g)
-        if s is not None:
-            stiffness.append(s)
-    path = record(moments, features, stiffness, dt, inputs)
+    with without_autocast(x):
+        O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
+        moments, features, stiffness, inputs = [now], [], [], []
+        for i in range(n_steps):
+            if shift is None:
+                g = policy.features(now.x)
+            else:
+                inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
+                g = policy.features(inputs[-1])
+            y = policy.outputs(g, rows)
+            v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
+            now = advance(now, v, s, i * dt, dt, stop, plant)
+            moments.append(now)
+            features.append(g)
+            if s is not None:
+                stiffness.append(s)
+        path = record(moments, features, stiffness, dt, inputs)
     visits.report(policy, path.features)
     return path
 
@@ -274,7 +280,8 @@ def record(
     )
 
 
-def _checked_shift(shift: Tensor, x: Tensor) -> Tensor:
+def _checked_shift(shift: Array, x: Tensor) -> Tensor:
+    shift = like("shift", shift, x)
     try:
         fits = shift.shape[-1:] == x.shape[-1:] and broadcast_shape(shift.shape, x.shape) == x.shape
     except RuntimeError:

@@ -47,18 +47,19 @@ class Visit(NamedTuple):
     features: Tensor
 
 
-_listener: ContextVar[list[Visit] | None] = ContextVar("torchds_visits", default=None)
+listener: ContextVar[list[Visit] | None] = ContextVar("torchds_visits", default=None)
+"""What collects the visits that are reported now; None where nobody listens."""
 
 
 @contextmanager
 def listen() -> Iterator[list[Visit]]:
     """Collect the visits that are reported inside the block; an inner block hides them from an outer one."""
     visits: list[Visit] = []
-    token = _listener.set(visits)
+    token = listener.set(visits)
     try:
         yield visits
     finally:
-        _listener.reset(token)
+        listener.reset(token)
 
 
 def report(policy: LinearPolicy, features: Tensor) -> None:
@@ -67,7 +68,7 @@ def report(policy: LinearPolicy, features: Tensor) -> None:
     Raises:
         InvalidArgumentError: no policy that is linear in features, or features that are no tensor.
     """
-    visits = _listener.get()
+    visits = listener.get()
     if visits is not None:
         visits.append(checked((policy, features)))
 

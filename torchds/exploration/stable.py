@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.policy import GMRPolicy
@@ -226,7 +227,9 @@ class Stable(Exploration):
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Take over what `state_dict` gave."""
         if set(state) != {"raw"} or not isinstance(state["raw"], Mapping):
-            raise InvalidArgumentError(f"a state of Stable is {{'raw': state of {type(self.raw).__name__}}}, got {state!r:.80}")
+            raise InvalidArgumentError(
+                f"a state of Stable is {{'raw': state of {type(self.raw).__name__}}}, got {shown(state)}"
+            )
         self.raw.load_state_dict(state["raw"])
 
     def _tied(self, A: Tensor) -> Tensor:

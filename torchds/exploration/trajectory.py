@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import count
+from torchds.arrays import count, shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous, chi_mean
@@ -290,15 +290,21 @@ class TrajectorySpace(Exploration):
             InvalidArgumentError: one of another policy.
         """
         if set(state) != set(self.state_dict()):
-            raise InvalidArgumentError(f"a state of TrajectorySpace has {sorted(self.state_dict())}, got {sorted(state)}")
+            raise InvalidArgumentError(
+                f"a state of TrajectorySpace has {sorted(self.state_dict())}, got {sorted(state)}"
+            )
         age, n = count("age", state["age"], 0), self.policy.pack().shape[-1]
         shape = (*self.policy.batch_shape, n, n)
         for name in ("factor", "felt"):
             value = state[name]
             if value is not None and (not isinstance(value, Tensor) or tuple(value.shape) != shape):
-                raise InvalidArgumentError(f"{name} of TrajectorySpace has to be {shape} for this policy, got {value!r:.80}")
+                raise InvalidArgumentError(
+                    f"{name} of TrajectorySpace has to be {shape} for this policy, got {shown(value)}"
+                )
         if (state["factor"] is None) != (state["felt"] is None) or not all(
             value is None or value.dtype == self.policy.A.dtype for value in (state["factor"], state["felt"])
         ):
-            raise InvalidArgumentError(f"factor and felt of TrajectorySpace have to be {self.policy.A.dtype}, both or none")
+            raise InvalidArgumentError(
+                f"factor and felt of TrajectorySpace have to be {self.policy.A.dtype}, both or none"
+            )
         self._age, self._factor, self._felt = age, state["factor"], state["felt"]

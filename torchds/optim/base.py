@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Unpack
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import without_autocast
+from torchds.arrays import shown, without_autocast
 from torchds.errors import AllRolloutsFailedError, EqualCostsWarning, InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.checkpoints import check_entries
@@ -188,14 +188,17 @@ class PolicySearch(Drawing):
         Raises:
             InvalidArgumentError: normals of the wrong number or shape.
         """
+        self._check()
         before = Snapshot(self)
         try:
-            self._check()
             with without_autocast(self._first):
                 self._draw(normals)
+            return self._tried()
         except BaseException:
             before.restore()
             raise
+
+    def _tried(self) -> Any:
         named = [
             (name, p + self.state[p]["noise"])
             for group in self.param_groups
@@ -218,15 +221,16 @@ class PolicySearch(Drawing):
         """
         if not self._asked:
             raise InvalidArgumentError("tell(costs) finishes what ask() began; call ask() first")
-        return self.step(Trial(as_costs(costs, self._parameters), visits))
+        return self.step(Trial(as_costs(costs, self.parameters), visits))
 
     def _step(self, closure: Closure | Trial | None) -> Tensor:
         """One update; the body of every subclass's `step`."""
         if not callable(closure) and not isinstance(closure, Trial):
             raise InvalidArgumentError(
-                f"step needs a closure that returns the cost of the roll-outs, got {closure!r:.60}; where costs are known, use "
-                "ask() and tell(costs)"
+                f"step needs a closure that returns the cost of the roll-outs, got {shown(closure)}; where costs are known, "
+                "use ask() and tell(costs)"
             )
+        self._check()
         before = Snapshot(self)
         try:
             return self._learn(closure)
@@ -235,7 +239,6 @@ class PolicySearch(Drawing):
             raise
 
     def _learn(self, closure: Closure | Trial) -> Tensor:
-        self._check()
         with without_autocast(self._first):
             if not self._asked:
                 self._draw(None)
@@ -269,7 +272,7 @@ class PolicySearch(Drawing):
         weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
         if (equal := ~informative(cost)).any():
             self._stay(equal, before)
-        if not all(p.isfinite().all() for p in self._parameters):
+        if not all(p.isfinite().all() for p in self.parameters):
             raise InvalidArgumentError(
                 "the update leads to parameters beyond the largest number; the parameters are unchanged. Explore less (lr)"
             )
@@ -300,7 +303,7 @@ class PolicySearch(Drawing):
         for group, exploration in zip(self.param_groups, self.explorations, strict=True):
             self._check_options(group)
             self._check_promise(group, exploration)
-        if not all(p.isfinite().all() for p in self._parameters):
+        if not all(p.isfinite().all() for p in self.parameters):
             raise InvalidArgumentError("parameters have to be finite before a step; some are NaN or infinite")
         check_entries(
             self, self.state, ", which belongs to other parameters or options; make a new optimizer for these"

@@ -6,14 +6,15 @@ Stability: experimental.
 from __future__ import annotations
 
 import copy
+import functools
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError, TorchdsError
 from torchds.exploration.base import Exploration
 from torchds.optim.transaction import Snapshot
@@ -22,6 +23,11 @@ Shape = tuple[int, ...]
 
 # What torch and its schedulers write into groups beside the options.
 BESIDE = {"params", "param_names", "initial_lr", "max_lr", "min_lr", "swa_lr"}
+
+
+def cost_dtype(parameters: Iterable[Tensor]) -> torch.dtype:
+    """The dtype of costs: that of the parameters, the widest where there are several, float32 at least."""
+    return functools.reduce(torch.promote_types, [p.dtype for p in parameters], torch.float32)
 
 
 def finite(value: Tensor) -> bool:
@@ -76,6 +82,11 @@ class Resumable(torch.optim.Optimizer):
     generator: torch.Generator
     explorations: list[Exploration]
     last: Any
+
+    @property
+    def parameters(self) -> list[nn.Parameter]:
+        """All parameters of all groups, in order."""
+        return [p for group in self.param_groups for p in group["params"]]
 
     def _check_options(self, group: Mapping[str, Any]) -> None: ...
 
@@ -132,7 +143,7 @@ class Resumable(torch.optim.Optimizer):
                 _restore(exploration, values)
 
 
-@cache
+@functools.cache
 def _of_torch() -> frozenset[str]:
     """Attributes that torch and its schedulers give an optimizer: hooks and wrappers, which copies do not take along.
 
@@ -147,7 +158,7 @@ def _arrive(search: Any, given: dict[str, Any]) -> None:
 
 
 def _by_parameter(search: Resumable, state: Mapping[int, Any]) -> dict[Tensor, Any]:
-    parameters = [p for group in search.param_groups for p in group["params"]]
+    parameters = search.parameters
     return {parameters[i]: entries for i, entries in state.items()}
 
 
@@ -192,38 +203,40 @@ def check_state(search: Resumable, given: Mapping[str, Any]) -> None:
     explorations = given["explorations"]
     if not isinstance(explorations, Sequence) or len(explorations) != len(search.explorations):
         raise InvalidArgumentError(
-            f"states of {len(search.explorations)} explorations are needed, got {explorations!r:.80}"
+            f"states of {len(search.explorations)} explorations are needed, got {shown(explorations)}"
         )
     for exploration, state in zip(search.explorations, explorations, strict=True):
         if not isinstance(state, Mapping):
-            raise InvalidArgumentError(f"{type(exploration).__name__} needs a dict as its state, got {state!r:.80}")
-    n = sum(len(group["params"]) for group in search.param_groups)
+            raise InvalidArgumentError(f"{type(exploration).__name__} needs a dict as its state, got {shown(state)}")
+    n = len(search.parameters)
     state = given["state"]
     if not isinstance(state, Mapping) or not all(type(i) is int and 0 <= i < n for i in state):
         raise InvalidArgumentError(
-            f"the state has to be a dict by the numbers of the {n} parameters, got {state!r:.80}"
+            f"the state has to be a dict by the numbers of the {n} parameters, got {shown(state)}"
         )
     for i, entries in state.items():
         if not isinstance(entries, Mapping) or not all(isinstance(name, str) for name in entries):
-            raise InvalidArgumentError(f"the state of parameter {i} has to be a dict by names, got {entries!r:.80}")
+            raise InvalidArgumentError(f"the state of parameter {i} has to be a dict by names, got {shown(entries)}")
     check_entries(search, _by_parameter(search, state), "; load a state of the same parameters and options")
 
 
 def _check_groups(search: Resumable, groups: Any) -> None:
     if not isinstance(groups, Sequence) or len(groups) != len(search.param_groups):
-        raise InvalidArgumentError(f"a state of {len(search.param_groups)} groups is needed, got {groups!r:.80}")
+        raise InvalidArgumentError(f"a state of {len(search.param_groups)} groups is needed, got {shown(groups)}")
     first = 0
     for i, (own, group, exploration) in enumerate(zip(search.param_groups, groups, search.explorations, strict=True)):
         n = len(own["params"])
-        if not isinstance(group, Mapping) or list(group.get("params", ())) != list(range(first, first + n)):
+        given = group.get("params") if isinstance(group, Mapping) else None
+        if not isinstance(given, list) or [*map(repr, given)] != [*map(repr, range(first, first + n))]:
             raise InvalidArgumentError(
-                f"group {i} has to have the parameters {first} to {first + n - 1}, got {group!r:.80}; a state of as many "
+                f"group {i} has to have the parameters {first} to {first + n - 1}, got {shown(group)}; a state of as many "
                 "parameters in the same groups is needed"
             )
         first += n
         names, own_names = group.get("param_names"), own.get("param_names")
-        if names is not None and own_names is not None and list(names) != list(own_names):
-            raise InvalidArgumentError(f"group {i} has the parameters {own_names}, got a state of {names}")
+        named = isinstance(names, Sequence) and len(names) == n and all(isinstance(name, str) for name in names)
+        if names is not None and (not named or (own_names is not None and list(names) != list(own_names))):
+            raise InvalidArgumentError(f"group {i} has the parameters {own_names or n}, got a state of {shown(names)}")
         if differing := (own.keys() ^ group.keys()) - BESIDE:
             raise InvalidArgumentError(
                 f"group {i} has the options {sorted(own.keys() - BESIDE)}; the state has not, or has more: {sorted(differing)}"
@@ -259,7 +272,7 @@ def check_entries(search: Resumable, state: Mapping[Tensor, Mapping[str, Any]], 
         for j, p in enumerate(group["params"]):
             where = {"parameter"} | ({"group"} if j == 0 else set()) | ({"search"} if number == 0 else set())
             mine = state.get(p, {})
-            for name in present & known.keys():
+            for name in sorted(present & known.keys()):
                 entry = known[name]
                 if (name in mine) != (entry.of in where) or (entry.beside is not None and entry.beside not in present):
                     raise InvalidArgumentError(
@@ -278,9 +291,10 @@ def check_entries(search: Resumable, state: Mapping[Tensor, Mapping[str, Any]], 
 
 def _check_entry(name: str, entry: Entry, value: Any, at: Place, p: Tensor, number: int, instead: str) -> None:
     if not isinstance(value, Tensor) or not value.is_floating_point():
-        raise InvalidArgumentError(f"{name!r} of parameter {number} has to be a tensor, got {value!r:.60}{instead}")
-    if value.dtype != p.dtype and entry.of != "search":
-        raise InvalidArgumentError(f"{name!r} of parameter {number} has to be {p.dtype}, got {value.dtype}{instead}")
+        raise InvalidArgumentError(f"{name!r} of parameter {number} has to be a tensor, got {shown(value)}{instead}")
+    dtype = cost_dtype(at.search.parameters) if entry.of == "search" else p.dtype
+    if value.dtype != dtype:
+        raise InvalidArgumentError(f"{name!r} of parameter {number} has to be {dtype}, got {value.dtype}{instead}")
     if not entry.fits(tuple(value.shape), at):
         raise InvalidArgumentError(
             f"{name!r} of parameter {number} with the shape {at.shape} has to be {entry.words}, with "
@@ -288,5 +302,5 @@ def _check_entry(name: str, entry: Entry, value: Any, at: Place, p: Tensor, numb
         )
     if not entry.holds(value):
         raise InvalidArgumentError(
-            f"{name!r} of parameter {number} has values that are not allowed, got {value!r:.80}{instead}"
+            f"{name!r} of parameter {number} has values that are not allowed, got {shown(value)}{instead}"
         )

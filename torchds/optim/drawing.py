@@ -25,17 +25,13 @@ class Drawing(Resumable):
     elite: Elite
 
     @property
-    def _parameters(self) -> list[nn.Parameter]:
-        return [p for group in self.param_groups for p in group["params"]]
-
-    @property
     def _first(self) -> nn.Parameter:
-        return self._parameters[0]
+        return self.parameters[0]
 
     @property
     def _asked(self) -> bool:
         """Whether noise is waiting for its costs."""
-        return all("noise" in self.state.get(p, {}) for p in self._parameters)
+        return all("noise" in self.state.get(p, {}) for p in self.parameters)
 
     def _forget(self) -> None:
         for entries in self.state.values():

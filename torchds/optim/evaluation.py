@@ -5,7 +5,6 @@ Stability: experimental.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Number
 from typing import Any, NamedTuple
@@ -14,8 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchds.arrays import shown
 from torchds.costs import control_cost
 from torchds.errors import InvalidArgumentError
+from torchds.optim.checkpoints import cost_dtype
 from torchds.visits import Visit, checked, listen
 
 Closure = Callable[[], Tensor]
@@ -86,7 +87,7 @@ def _call(closure: Closure, center: Table, noise: Table) -> Trial:
 
 
 def as_costs(costs: Any, parameters: Iterable[Tensor]) -> Tensor:
-    """Costs of any type as a tensor of their own: in the dtype of the parameters, the widest where there are several.
+    """Costs of any type as a tensor of their own: in the dtype of the parameters (`cost_dtype`).
 
     Args:
         costs: a tensor, an array, a number, or a list of numbers.
@@ -96,8 +97,7 @@ def as_costs(costs: Any, parameters: Iterable[Tensor]) -> Tensor:
         InvalidArgumentError: anything else.
     """
     parameters = list(parameters)
-    # float32 at least: half precision has no quantiles.
-    dtype = functools.reduce(torch.promote_types, [p.dtype for p in parameters], torch.float32)
+    dtype = cost_dtype(parameters)
     found = costs
     try:
         if isinstance(costs, (list, tuple)):
@@ -117,7 +117,7 @@ def as_costs(costs: Any, parameters: Iterable[Tensor]) -> Tensor:
         type(None): "; does the closure end with `return cost`?",
     }.get(type(costs), "")
     raise InvalidArgumentError(
-        f"costs have to be a tensor, an array or numbers, got {type(costs).__name__} {costs!r:.60}{hint}"
+        f"costs have to be a tensor, an array or numbers, got {type(costs).__name__} {shown(costs)}{hint}"
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
+from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError
 
 Temperature = Literal["range", "median", "capped"]
@@ -76,7 +77,7 @@ def check_temperature(temperature: Any) -> None:
         InvalidArgumentError: what was received and what is allowed.
     """
     if not isinstance(temperature, str) or temperature not in get_args(Temperature):
-        raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {temperature!r}")
+        raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {shown(temperature)}")
 
 
 def informative(costs: Tensor) -> Tensor:

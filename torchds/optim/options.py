@@ -12,7 +12,7 @@ from typing import Any, Literal, TypedDict, get_args
 
 import torch
 
-from torchds.arrays import count, number
+from torchds.arrays import count, number, shown
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.optim.functional import Temperature, check_temperature
 
@@ -95,18 +95,19 @@ def check_search(
     ):
         if not isinstance(value, str) or value not in allowed:
             *others, last = map(repr, allowed)
-            raise InvalidArgumentError(f"{name} has to be {', '.join(others)} or {last}, got {value!r}")
+            raise InvalidArgumentError(f"{name} has to be {', '.join(others)} or {last}, got {shown(value)}")
     n_rollouts = count("n_rollouts", n_rollouts, 1)
     if elite != "none" and n_rollouts < 2:
         raise InvalidArgumentError(f"elite={elite!r} needs n_rollouts ≥ 2, got {n_rollouts}")
-    if batched not in (True, False):
-        raise InvalidArgumentError(f"batched has to be True or False, got {batched!r}")
+    if not isinstance(batched, bool):
+        raise InvalidArgumentError(f"batched has to be True or False, got {shown(batched)}")
     if generator is None:
         generator = torch.Generator().manual_seed(0)
     if not isinstance(generator, torch.Generator) or generator.device.type != "cpu":
         seed = generator if isinstance(generator, int) else 0
         raise InvalidArgumentError(
-            f"generator has to be a torch.Generator on the CPU, got {generator!r}; use torch.Generator().manual_seed({seed})"
+            f"generator has to be a torch.Generator on the CPU, got {shown(generator)}; use "
+            f"torch.Generator().manual_seed({seed})"
         )
     return n_rollouts, generator
 

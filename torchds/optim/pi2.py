@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, Unpack
 import torch
 from torch import Tensor
 
+from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.base import PolicySearch
@@ -72,10 +73,10 @@ class PI2(PolicySearch):
 
     def _check_options(self, group: Mapping[str, Any]) -> None:
         super()._check_options(group)
-        if group.get("weighting") not in ("gating", "time"):
-            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {group.get('weighting')!r}")
-        if group.get("projected") not in (True, False):
-            raise InvalidArgumentError(f"projected has to be True or False, got {group.get('projected')!r}")
+        if not isinstance(group.get("weighting"), str) or group["weighting"] not in ("gating", "time"):
+            raise InvalidArgumentError(f"weighting has to be 'gating' or 'time', got {shown(group.get('weighting'))}")
+        if not isinstance(group.get("projected"), bool):
+            raise InvalidArgumentError(f"projected has to be True or False, got {shown(group.get('projected'))}")
 
     @torch.no_grad()
     def step(self, closure: Closure | None = None) -> Tensor:  # type: ignore[override]

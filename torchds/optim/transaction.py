@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from torchds import visits
+
 if TYPE_CHECKING:
     from torchds.optim.checkpoints import Resumable
 
@@ -35,9 +37,10 @@ class Snapshot:
 
     def __init__(self, search: Resumable) -> None:
         self._search, self._last = search, search.last
+        self._listener = visits.listener.get()
         self._group_list = search.param_groups
         self._groups = [(group, dict(group)) for group in search.param_groups]
-        self._parameters = [(p, p.data, p.data.clone()) for group in search.param_groups for p in group["params"]]
+        self._parameters = [(p, p.data, p.data.clone()) for p in search.parameters]
         self._state_table = search.state
         self._state = {p: _copied(entries) for p, entries in search.state.items()}
         self._generator = search.generator, search.generator.get_state()
@@ -66,6 +69,7 @@ class Snapshot:
         search.state.clear()
         search.state.update({p: dict(entries) for p, entries in self._state.items()})
         search.last = self._last
+        visits.listener.set(self._listener)
         search.generator = self._generator[0]
         search.generator.set_state(self._generator[1])
         for exploration, state in self._explorations:

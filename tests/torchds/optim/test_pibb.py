@@ -571,7 +571,7 @@ def test_a_step_whose_closure_raises_is_as_if_it_had_not_been(batched):
     with pytest.raises(ValueError, match="the robot has stopped"):
         optim.step(lambda: closure(True))
     assert torch.equal(theta_of(policy), theta_of(make_policy()))
-    assert visits._listener.get() is None
+    assert visits.listener.get() is None
     with pytest.raises(InvalidArgumentError, match=r"call ask\(\) first"):
         optim.tell(torch.zeros(N))
     first = tried[0]
