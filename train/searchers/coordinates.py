@@ -17,6 +17,8 @@ from torch import Tensor
 from tasks import Task
 from tasks.base import total
 from torchds import GMRPolicy
+from torchds.arrays import shown
+from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
 from train.searchers.base import GRADIENT_COST, JACOBIAN_COST, Closure, Searcher
 
@@ -26,7 +28,7 @@ class Brief(NamedTuple):
 
     Attributes:
         runs: independent runs.
-        P: entries of z.
+        P: entries of z, one for each entry of θ that is not frozen.
         n_rollouts: trials between two updates of methods that try several at once.
         scale: factor on the method's first step.
         seed: of all its randomness.
@@ -72,14 +74,32 @@ class Method(NamedTuple):
 
 @torch.no_grad()
 def root(policy: GMRPolicy, exploration: Exploration) -> Tensor:
-    """L `(*batch, P, P)` of an exploration that is linear in its normals: what it makes of each unit vector."""
+    """L `(*batch, P, F)` of an exploration that is linear in its normals: what it makes of each unit vector.
+
+    F entries are free; frozen parameters (requires_grad=False) have rows of zeros and no unit vectors.
+    """
     theta = policy.pack()
     P = theta.shape[-1]
-    unit = torch.eye(P, dtype=theta.dtype).reshape(P, *(1,) * len(policy.batch_shape), P).expand(P, *theta.shape)
+    unit = torch.eye(P, dtype=theta.dtype)[free_entries(policy)]
+    unit = unit.reshape(-1, *(1,) * len(policy.batch_shape), P).expand(-1, *theta.shape)
     parts = policy.split(unit)
     names, parameters = zip(*policy.named_parameters(), strict=True)
     noise = exploration(parameters, [parts[name] for name in names])
-    return policy.join(dict(zip(names, noise, strict=True))).movedim(0, -1)
+    kept = [e if p.requires_grad else torch.zeros_like(e) for p, e in zip(parameters, noise, strict=True)]
+    return policy.join(dict(zip(names, kept, strict=True))).movedim(0, -1)
+
+
+def free_entries(policy: GMRPolicy) -> Tensor:
+    """`(P,)` bool: which entries of θ may move.
+
+    Raises:
+        InvalidArgumentError: none.
+    """
+    free = policy.pack(lambda p: torch.full_like(p, float(p.requires_grad)))
+    free = free.reshape(-1, free.shape[-1])[0] > 0
+    if not free.any():
+        raise InvalidArgumentError("all parameters are frozen; free those that shall be learned with requires_grad_()")
+    return free
 
 
 class CoordinateSearch(Searcher):
@@ -147,15 +167,26 @@ class CoordinateSearch(Searcher):
         Returns:
             `(runs,)` the mean cost.
         """
-        before = len(self._answers)
-        for _ in range(0, self.n_rollouts, len(self._asked.z)):
-            self._take(self._try(closure, self._asked.z))
-        self.policy.unpack(self.theta(self._asked.answer))
+        before, present = len(self._answers), self.policy.pack().detach().clone()
+        try:
+            for _ in range(0, self.n_rollouts, len(self._asked.z)):
+                self._take(self._try(closure, self._asked.z))
+            self._recommend(self._asked.answer)
+        except BaseException:  # as if this step had not been
+            self.policy.unpack(present)
+            self.load_state_dict({"answers": [tuple(answer) for answer in self._answers[:before]]})
+            raise
         cost = torch.cat([answer.cost for answer in self._answers[before:]])
         finite = cost.isfinite()
         self._failed = int((~finite).sum())
         self.mean_cost = torch.where(finite, cost, 0.0).sum(0) / finite.sum(0)
         return self.mean_cost
+
+    def _recommend(self, z: Tensor) -> None:
+        """Leave the policies at `z` `(runs, P)`; runs for which it is beyond the largest number stay."""
+        theta = self.theta(z)
+        finite = theta.isfinite().all(-1, keepdim=True)
+        self.policy.unpack(torch.where(finite, theta, self.policy.pack().detach()))
 
     def _try(self, closure: Closure, z: Tensor) -> Answer:
         """Run the trials; the gradient in z is Lᵀ times the one in θ."""
@@ -164,15 +195,23 @@ class CoordinateSearch(Searcher):
             self.policy.unpack(self.theta(z))
             with torch.set_grad_enabled(self.method.gradient):
                 cost = closure()
+            self._check_cost(cost, z)
             if self.method.gradient:
-                names, parameters = zip(*self.policy.named_parameters(), strict=True)
-                slopes = torch.autograd.grad(cost.sum(), parameters, materialize_grads=True)
-                in_theta = self.policy.join(dict(zip(names, slopes, strict=True)))
+                named = dict(self.policy.named_parameters())
+                free = {name: p for name, p in named.items() if p.requires_grad}
+                slopes = torch.autograd.grad(cost.sum(), tuple(free.values()), materialize_grads=True)
+                zero = {name: torch.zeros_like(p) for name, p in named.items()}
+                in_theta = self.policy.join({**zero, **dict(zip(free, slopes, strict=True))})
                 gradient = (self.L.mT @ in_theta.unsqueeze(-1)).squeeze(-1)
         finally:
             self.policy.unpack(present)
-        cost = cost.detach()
-        return Answer(torch.where(cost.isnan(), torch.inf, cost), gradient)
+        cost = cost.detach().to(self.L)
+        return Answer(torch.where(cost.isfinite(), cost, torch.inf), gradient)
+
+    def _check_cost(self, cost: Tensor, z: Tensor) -> None:
+        if not isinstance(cost, Tensor) or cost.shape != z.shape[:-1]:
+            got = tuple(cost.shape) if isinstance(cost, Tensor) else shown(cost)
+            raise InvalidArgumentError(f"the closure has to return costs {tuple(z.shape[:-1])} as a tensor, got {got}")
 
     def _begin(self) -> None:
         self._answers = []

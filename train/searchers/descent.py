@@ -58,14 +58,18 @@ def adam(brief: Brief) -> Asking:
 
 
 def sgd(brief: Brief) -> Asking:
-    """Gradient descent with momentum 0.9, on gradients over the norm of the first one: the first step has the length 0.1."""
-    first: list[Tensor] = []
+    """Gradient descent with momentum 0.9, on gradients over the norm of the first one: the first step has the length 0.1.
+
+    The first is that of each run which is finite and not zero.
+    """
+    first = torch.full((brief.runs, 1), torch.nan, dtype=torch.float64)
 
     def relative(z: Tensor) -> Gradient:
         gradient = yield from exact(z)
-        if not first:
-            first.append(torch.linalg.vector_norm(gradient, dim=-1, keepdim=True))
-        return gradient / first[0]
+        norm = torch.linalg.vector_norm(gradient, dim=-1, keepdim=True)
+        usable = first.isnan() & norm.isfinite() & (norm > 0)
+        first.copy_(torch.where(usable, norm, first))
+        return gradient / first
 
     return _descend(brief, relative, torch.optim.SGD, lr=RATE * brief.scale, momentum=0.9)
 

@@ -11,7 +11,7 @@ from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
 from train.options import RunOptions
 from train.searchers.base import Searcher
-from train.searchers.coordinates import Brief, CoordinateSearch, Method
+from train.searchers.coordinates import Brief, CoordinateSearch, Method, free_entries
 from train.searchers.descent import adam, finite_differences, nes, sgd
 from train.searchers.explorations import along_motion, make_exploration
 from train.searchers.libraries import cma, cobyqa, lbfgs
@@ -52,7 +52,7 @@ def make_searcher(options: RunOptions, task: Task, policy: GMRPolicy, explore: E
     refuse(options, task)
     brief = Brief(
         runs=options.runs,
-        P=policy.pack().shape[-1],
+        P=int(free_entries(policy).sum()),
         n_rollouts=n_rollouts,
         scale=options.scale,
         seed=options.seed,

@@ -1,15 +1,18 @@
 """The searchers behind --optimizer: what they spend, where they search, that they improve, repeat and resume."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
 
 import tasks
 from tests.motions import Short
-from torchds.exploration import Homogeneous, TrajectorySpace
+from torchds.errors import InvalidArgumentError
+from torchds.exploration import Gaussian, Homogeneous, TrajectorySpace
 from train.learning.learner import Learner
 from train.options import options_for
-from train.searchers.coordinates import Ask, Brief, CoordinateSearch, Method, root
+from train.searchers.coordinates import Ask, Brief, CoordinateSearch, Method, free_entries, root
 from train.searchers.named import METHODS
 from train.searchers.sampled import SAMPLED
 
@@ -173,3 +176,85 @@ def test_a_method_is_any_generator():
     assert search.step(lambda: task.cost(task.rollout(policy))).shape == (3,)
     assert search.n_rollouts == 4
     torch.testing.assert_close(policy.pack().detach(), before, rtol=0, atol=0)
+
+
+# ------------------------------------------------------------------ the contract: frozen parameters, failures, all or nothing
+
+
+def search_of(name, policy):
+    brief = Brief(runs=2, P=int(free_entries(policy).sum()), n_rollouts=4, scale=1.0, seed=0)
+    return CoordinateSearch(policy, Gaussian(0.1), METHODS[name], brief)
+
+
+def quadratic(policy):
+    return lambda: (policy.pack() - 1.0).square().sum(-1)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_frozen_parameters_stay_and_the_others_learn(name, random_policy):
+    policy = random_policy(batch=(2,))
+    policy.A.requires_grad_(False)
+    search, before = search_of(name, policy), policy.A.detach().clone()
+    tried, first = [], policy.b.detach().clone()
+
+    def closure():
+        tried.append(policy.A.detach().clone())
+        return quadratic(policy)()
+
+    for _ in range(5):
+        search.step(closure)
+    assert torch.equal(policy.A, before)
+    assert all((before == A).all() for A in tried)
+    assert (policy.b != first).any()
+
+
+def test_all_frozen_is_refused(random_policy):
+    policy = random_policy(batch=(2,)).requires_grad_(False)
+    with pytest.raises(InvalidArgumentError, match="all parameters are frozen"):
+        search_of("cma", policy)
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+def test_costs_that_are_not_finite_are_failures_and_not_the_best(name, value, random_policy):
+    policy = random_policy(batch=(2,))
+    search, calls = search_of(name, policy), []
+
+    def closure():
+        calls.append(1)
+        costs = quadratic(policy)()
+        return costs * value if len(calls) in (1, 3) else costs
+
+    failed = 0
+    for _ in range(8):
+        search.step(closure)
+        failed += search.failed
+        assert policy.pack().isfinite().all()
+    assert failed > 0
+    assert all(not answer.cost.isneginf().any() for answer in search._answers)
+    assert (search.mean_cost < 1e3).all()
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_step_that_raises_is_as_if_it_had_not_been(name, random_policy):
+    pair, first = [], random_policy(batch=(2,))
+    for fail in (False, True):
+        policy = copy.deepcopy(first)
+        search, calls = search_of(name, policy), []
+
+        def closure(policy=policy, calls=calls, fail=fail):
+            calls.append(1)
+            if fail and len(calls) == 7:
+                raise KeyboardInterrupt
+            return quadratic(policy)()
+
+        n = 0
+        while n < 10:
+            before = policy.pack().detach().clone()
+            try:
+                search.step(closure)
+                n += 1
+            except KeyboardInterrupt:
+                assert torch.equal(policy.pack(), before)
+        pair.append(policy.pack().detach())
+    assert torch.equal(*pair)
