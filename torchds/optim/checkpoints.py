@@ -194,9 +194,9 @@ def check_state(search: Resumable, given: Mapping[str, Any]) -> None:
     who = type(search).__name__
     if missing := [name for name in ("state", "param_groups", "generator", "explorations") if name not in given]:
         raise InvalidArgumentError(f"this is no state of {who}, {missing} are not in it; got {sorted(map(str, given))}")
-    if given.get("search") != who:
+    if not isinstance(of := given.get("search"), str) or of != who:
         raise InvalidArgumentError(
-            f"this is a state of {given.get('search')!r} and cannot be continued by {who}; make the optimizer that it is of"
+            f"this is a state of {shown(of)} and cannot be continued by {who}; make the optimizer that it is of"
         )
     _check_groups(search, given["param_groups"])
     _check_generator(given["generator"])
