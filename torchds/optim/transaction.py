@@ -6,15 +6,12 @@ Stability: experimental.
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchds import visits
-
-if TYPE_CHECKING:
-    from torchds.optim.checkpoints import Resumable
 
 
 class Snapshot:
@@ -32,10 +29,10 @@ class Snapshot:
     True
 
     Args:
-        search: what may be restored.
+        search: the optimizer that may be restored.
     """
 
-    def __init__(self, search: Resumable) -> None:
+    def __init__(self, search: Any) -> None:
         self._search, self._last = search, search.last
         self._listener = visits.listener.get()
         self._group_list = search.param_groups
