@@ -57,21 +57,31 @@ def main() -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without Unicode gets what it can show
             stream.reconfigure(errors="backslashreplace")
+    return ended(lambda: command(commands))
+
+
+def command(commands: dict[str, Callable[..., Any]]) -> None:
+    """Do what the command line says."""
+    arguments = sys.argv[1:]
+    if arguments and is_spec(arguments[0]):
+        options_of_task = options_class(arguments[0])
+        arguments[0] = tasks.options_of(arguments[0]).name
+        commands[arguments[0]] = options_of_task
+    options: Any = tyro.extras.subcommand_cli_from_dict(
+        commands,
+        prog="python -m train",
+        description=__doc__,
+        args=arguments,
+        config=(tyro.conf.FlagConversionOff,),
+    )
+    with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
+        run(options, given(arguments)) if isinstance(options, RunOptions) else options.main()
+
+
+def ended(call: Callable[[], object]) -> int:
+    """The exit code of a command, whose errors are said in one line."""
     try:
-        arguments = sys.argv[1:]
-        if arguments and is_spec(arguments[0]):
-            options_of_task = options_class(arguments[0])
-            arguments[0] = tasks.options_of(arguments[0]).name
-            commands[arguments[0]] = options_of_task
-        options: Any = tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="python -m train",
-            description=__doc__,
-            args=arguments,
-            config=(tyro.conf.FlagConversionOff,),
-        )
-        with threadpoolctl.threadpool_limits(1):  # numpy and scikit-learn
-            run(options, given(arguments)) if isinstance(options, RunOptions) else options.main()
+        call()
     except TorchdsError as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
