@@ -144,7 +144,7 @@ def swaps(numbers: Sequence[int], q: np.ndarray, u: np.ndarray) -> list[Finding]
     moved = rows[rows != columns]
     if not len(moved) or distance[moved, columns[moved]].sum() > BETTER * distance[moved, moved].sum():
         return []
-    pairs = ", ".join(f"{numbers[i]} is the motion of rollout-{numbers[columns[i]]}.csv" for i in moved)
+    pairs = ", ".join(f"recording-{numbers[i]} is the motion of rollout-{numbers[columns[i]]}.csv" for i in moved)
     return [Finding("swapped", tuple(numbers[i] for i in moved), True, f"in a wrong order: {pairs}")]
 
 
@@ -152,7 +152,7 @@ def forces(force: Tensor, pose: Tensor, asked: Tensor, stiffness: Tensor) -> Ite
     """Whether measured forces `(T, 3)` go with the forces of a spring of that stiffness between the two motions."""
     spring = stiffness[:, None] * (asked - pose)[1:, :2]
     wanted, measured = (float(f.square().sum(-1).mean().sqrt()) for f in (spring, force))
-    if measured > 0 and wanted > 5 and measured < wanted / 100:
+    if measured > 0 and wanted > 1 and measured < wanted / 100:
         yield (
             "force",
             True,
