@@ -263,7 +263,12 @@ def _quaternion(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
             columns = ", ".join(names[first : first + 4])
             what = f"the columns {columns} are a unit quaternion, which no linear system keeps on its sphere"
             yield Finding(
-                "unit quaternion", None, None, error, what, "torchds.poses.from_poses(position, quaternion, dt)"
+                "unit quaternion",
+                None,
+                None,
+                error,
+                what,
+                "load(..., positions=) without them, or scipy.spatial.transform.Rotation.from_quat(...).as_rotvec()",
             )
             return
 
