@@ -121,7 +121,7 @@ def test_the_task_is_learned(page):
     optim = torchds.optim.SurrogatePIBB(
         policy.parameters(),
         noise,
-        control_weight=task.numbers.control_weight,
+        control_weight=task.search.control_weight,
         generator=torch.Generator().manual_seed(0),
     )
     for _ in range(15):
