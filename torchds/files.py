@@ -4,7 +4,7 @@ A file is written beside its place under a name of its own, flushed to the disk,
 the new one. What is read back is compared with the digest that was written, since neither zip nor torch notices most
 damaged bits. Nothing that is read can run code, and what it claims to be is checked before memory is taken for it.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ import importlib, pkgutil, torch, torchds
 assert torchds.__file__.startswith(sys.prefix), torchds.__file__
 t = torch.linspace(0, 1, 50, dtype=torch.float64)
 curves = [torch.stack([t.cos() + shift, t.sin()], -1).numpy() for shift in (0.0, 0.01)]
-demos = torchds.Demonstrations(curves, [0.02 * curve for curve in curves], 0.1)
+demos = torchds.Demonstrations(curves, dt=0.1)
 policy = torchds.GMRPolicy.from_demonstrations(demos, n_components=2)
 optim = torchds.optim.PIBB(policy.parameters(), torchds.exploration.Homogeneous(policy, mean_speed=0.01), n_rollouts=4)
 before = policy.pack().detach().clone()
