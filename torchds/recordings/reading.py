@@ -1,6 +1,6 @@
 """What can be said about a recording that the file does not say itself: one list of arguments for all readers.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations
