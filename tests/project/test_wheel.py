@@ -160,7 +160,8 @@ def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(python, ext
     sources = (ROOT / "tasks" / "digging").glob("*.py")
     digging = {f"tasks.digging.{path.stem}".removesuffix(".__init__"): "digging" for path in sources}
     if extras:  # every command can be chosen; what it needs beside is asked for when it runs
-        later = {"train.hardware.session": "digging", "train.deep_rl.agents": "baselines"}
+        robot = dict.fromkeys(("train.hardware.session", "train.hardware.evidence"), "digging")
+        later = {**robot, "train.deep_rl.agents": "baselines"}
     else:
         later = {name: "train" for name in named if name.split(".")[0] == "train"}
         assert "train.__main__" in later
