@@ -382,7 +382,7 @@ def test_a_checkpoint_without_the_covariance_would_go_another_way():
     for mine, theirs in zip(resumed, whole, strict=True):
         state = theirs.state_dict()
         if "explorations" in state:
-            state["explorations"] = [{"age": 0, "factor": None}]
+            state["explorations"] = [{"age": 0, "factor": None, "felt": None}]
         mine.load_state_dict(state)
     for learner in (whole, resumed):
         learn(*learner, 1)
