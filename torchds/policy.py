@@ -17,6 +17,7 @@ from torch.nn import functional as F
 from torchds import stability
 from torchds.arrays import like, shown
 from torchds.errors import InvalidArgumentError
+from torchds.kernels.fused import Field
 from torchds.mixture import GaussianMixture
 from torchds.parameters import ExpertParameters, arrange
 
@@ -292,6 +293,18 @@ class GMRPolicy(ExpertParameters):
         for _ in range(n_points - 1):
             rows = rows.unsqueeze(-3)
         return features @ rows.mT
+
+    def field(self, rows: Tensor | None = None) -> Field | None:
+        """What compiled code needs of this policy; None for a subclass whose outputs are made in another way.
+
+        Args:
+            rows: see `outputs`; None for those of the parameters.
+        """
+        made_of = ("gating", "_whitened", "_at_points", "features", "outputs")
+        if any(getattr(type(self), n) is not getattr(GMRPolicy, n) or n in self.__dict__ for n in made_of):
+            return None
+        rows = self.rows() if rows is None else rows
+        return Field(rows, self.output_dim, self._center, self.factors, self._offset, self._log_scale)
 
     def forward(self, x: Tensor) -> Tensor:
         """The velocity ẋ `(*batch, *points, O)` at `x` `(*batch, *points, D)` (Eq. 1)."""

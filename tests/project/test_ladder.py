@@ -11,9 +11,9 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of its own rung and below.
 LIBRARY = [
     {"errors"},
-    {"visits", "arrays", "files", "findings", "locks"},
+    {"kernels", "visits", "arrays", "files", "findings", "locks"},
     {"preparation", "mending"},
-    {"mixture", "demonstrations", "costs", "stability", "metrics"},
+    {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},
     {"recordings", "parameters", "trainable", "starts"},
     {"policy"},
     {"plants", "cartesian"},
