@@ -33,7 +33,10 @@ def compiled(function: Callable[..., Any]) -> Any:
 def activate(axes, x, shift, center, factors, offset, log_scale, limit, h):
     """Write h_k(x − shift) of Eq. 2 to `h`."""
     D, K = len(axes), len(h)
-    highest = -np.inf
+    highest, far = -np.inf, False
+    for d in range(D):
+        if not abs((x[d] - shift[d]) - center[d]) <= limit:
+            far = True
     for k in range(K):
         square = 0.0
         for j in range(D):
@@ -41,14 +44,17 @@ def activate(axes, x, shift, center, factors, offset, log_scale, limit, h):
             for d in range(D):
                 a += factors[k, j, d] * ((x[d] - shift[d]) - center[d])
             square += a * a
-        if (
-            not square <= limit * limit
-        ):  # far away, or not a number: again, each distance cut so that its square is finite
+        if far or not square <= limit * limit:  # or not a number: again, each distance cut so that its square is finite
             square = 0.0
             for j in range(D):
                 a = offset[k * D + j] + 0.0
                 for d in range(D):
-                    a += factors[k, j, d] * ((x[d] - shift[d]) - center[d])
+                    b = (x[d] - shift[d]) - center[d]
+                    if b > limit:
+                        b = limit
+                    elif b < -limit:
+                        b = -limit
+                    a += factors[k, j, d] * b
                 if a > limit:
                     a = limit
                 elif a < -limit:

@@ -11,11 +11,16 @@ from torchds.kernels.compiling import activate, compiled
 
 
 @compiled
-def whitened(axes, k, j, x, center, factors, offset):
+def whitened(axes, k, j, x, center, factors, offset, limit):
     """Entry j of L_k⁻¹ (x − μ_k)."""
     a = offset[k * len(axes) + j] + 0.0
     for d in range(len(axes)):
-        a += factors[k, j, d] * (x[d] - center[d])
+        b = x[d] - center[d]
+        if b > limit:
+            b = limit
+        elif b < -limit:
+            b = -limit
+        a += factors[k, j, d] * b
     return a
 
 
@@ -73,16 +78,17 @@ def adjoint(
                 for d in range(D):
                     back[d] += h[k] * u[k * (D + 1) + d]
                 for j in range(D):
-                    z = whitened(axes, k, j, seen, c, W, off)
+                    z = whitened(axes, k, j, seen, c, W, off, limit)
                     if abs(z) < limit:
                         for d in range(D):
-                            back[d] -= h[k] * (q[k] - mean) * W[k, j, d] * z
+                            if abs(seen[d] - c[d]) < limit:
+                                back[d] -= h[k] * (q[k] - mean) * W[k, j, d] * z
             for d in range(D):
                 along[d] = back[d]
 
 
 @compiled
-def linearise(axes, x, R, center, factors, offset, h, slope):
+def linearise(axes, x, R, center, factors, offset, limit, h, slope):
     """Write ∂[ẋ; s]/∂x = Σ_k h_k (A_k + (y_k − Σ_j h_j y_j) σ_kᵀ) to `slope`, with y_k = A_k x + b_k (`GMRPolicy.jacobian`)."""
     D, K = len(axes), len(h)
     for o in range(len(slope)):
@@ -100,7 +106,7 @@ def linearise(axes, x, R, center, factors, offset, h, slope):
             for d in range(D):
                 y += R[o, k * (D + 1) + d] * x[d]
             for j in range(D):
-                z = whitened(axes, k, j, x, center, factors, offset)
+                z = whitened(axes, k, j, x, center, factors, offset, limit)
                 for d in range(D):
                     slope[o, d] -= h[k] * (y - mean) * factors[k, j, d] * z
 
@@ -121,7 +127,7 @@ def sensitivities(
         for t in range(n_steps):
             x = inputs[i, t]
             activate(axes, x, still, c, W, off, scales, limit, h)
-            linearise(axes, x, rows[policy], c, W, off, h, slope)
+            linearise(axes, x, rows[policy], c, W, off, limit, h, slope)
             moves = resting is None or not resting[i, t]
             for o in range(O):
                 row = motion[i, t, o]
@@ -156,7 +162,7 @@ def stiffness_sensitivities(
         for t in range(n_steps):
             x = inputs[i, t]
             activate(axes, x, still, c, W, off, scales, limit, h)
-            linearise(axes, x, rows[policy], c, W, off, h, slope)
+            linearise(axes, x, rows[policy], c, W, off, limit, h, slope)
             for q in range(Q):
                 row, o = stiffness[i, t, q], N - Q + q
                 for p in range(K * E):
