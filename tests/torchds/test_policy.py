@@ -455,7 +455,7 @@ def test_shapes_that_do_not_fit_are_refused(change, message):
 
 
 def test_a_gating_that_is_no_mixture_is_refused():
-    with pytest.raises(DegenerateMixtureError, match="not symmetric positive definite"):
+    with pytest.raises(DegenerateMixtureError, match="have to be symmetric positive definite"):
         GMRPolicy(torch.ones(1), torch.zeros(1, 2), -torch.eye(2)[None], torch.zeros(1, 2, 2), torch.zeros(1, 2))
 
 
