@@ -460,12 +460,13 @@ def test_an_interruption_of_the_restoring_itself_restores_too(name, at):
         sys.settrace(interrupt.trace)
         raise ZeroDivisionError
 
+    outer = sys.gettrace()
     interrupt = Interrupt(at, within=str(Path(PACKAGE) / "optim" / "transaction.py"))
     with pytest.raises((ZeroDivisionError, KeyboardInterrupt)):
         try:
             optim.step(fails)
         finally:
-            sys.settrace(None)
+            sys.settrace(outer)  # coverage, if it is measured
     assert everything(optim) == before
 
 

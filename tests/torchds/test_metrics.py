@@ -52,7 +52,9 @@ def test_a_path_that_pauses_sweeps_the_same_area():
 
 
 def test_a_single_point_is_no_path():
-    with pytest.raises(InvalidArgumentError, match=r"a path has to be \(\*batch, T, D\) with T ≥ 2, got shape \(1, 2\)"):
+    with pytest.raises(
+        InvalidArgumentError, match=r"a path has to be \(\*batch, T, D\) with T ≥ 2, got shape \(1, 2\)"
+    ):
         swept_area(torch.zeros(1, 2), torch.zeros(3, 2))
 
 

@@ -38,16 +38,16 @@ def test_zero_violations_over_a_full_training_run(task):
 def test_options_reach_the_exploration(task, shrink):
     made = Learner(options_for("constrained_reaching", noise=0.07, shrink=shrink), task).searcher.optim.explorations[0]
     assert isinstance(made, Stable)
-    assert (made.std, made.shrink, made.P) == (0.07, shrink, None)
+    assert (made.raw.std, made.shrink, made.P) == (0.07, shrink, None)
     options = options_for("constrained_reaching", exploration="stable-trajectory", noise=0.4, shrink=shrink)
     made = Learner(options, task).searcher.optim.explorations[0]
-    assert isinstance(made.std, TrajectorySpace)
+    assert isinstance(made.raw, TrajectorySpace)
     usual = Learner(
         options_for("constrained_reaching", exploration="stable-trajectory"), task
     ).searcher.optim.explorations[0]
-    assert_close(made.std.spread, 8 * usual.std.spread)  # 0.4 in place of a twentieth of the extent
+    assert_close(made.raw.spread, 8 * usual.raw.spread)  # 0.4 in place of a twentieth of the extent
     assert made.shrink == shrink
-    assert made.std.goal is not None
+    assert made.raw.goal is not None
 
 
 def test_a_learned_metric_reaches_the_exploration():
