@@ -1,5 +1,7 @@
 """Recordings as files and as arrays, for the tests of the readers."""
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -33,3 +35,11 @@ def cell(*items):
     array = np.empty((1, len(items)), dtype=object)
     array[0, :] = items
     return array
+
+
+def write_absurd_npz(path, name):
+    """A small archive whose directory says that its one array would unpack to half a gigabyte."""
+    np.savez(path, **{name: np.ones(3)})
+    raw = bytearray(path.read_bytes())
+    struct.pack_into("<I", raw, raw.index(b"PK\x01\x02") + 24, 2**29)
+    path.write_bytes(raw)

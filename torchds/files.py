@@ -238,8 +238,12 @@ def read_sealed(path: str | Path, unsealed: Iterable[str] = ()) -> dict[str, Any
 # ------------------------------------------------------------------ arrays
 
 
-def read_npz(path: str | Path) -> dict[str, np.ndarray]:
-    """All arrays of a NumPy archive by name; the sizes that it claims are checked before anything is unpacked.
+def read_npz(path: str | Path, wanted: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a NumPy archive by name; the sizes that it claims are checked before anything is unpacked.
+
+    Args:
+        path: of the file.
+        wanted: names that are read where they are there; None for all.
 
     Raises:
         FileError: there is no such file, it is no such archive, is damaged, holds Python objects, or is too large.
@@ -251,7 +255,8 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
             if (bad := archive.testzip()) is not None:
                 raise FileError(f"{path} is damaged: {bad} does not have the checksum that was written with it")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+            names = set(arrays.files) if wanted is None else set(wanted)
+            return {name: arrays[name] for name in arrays.files if name in names}
     except FileError:
         raise
     except zipfile.BadZipFile as error:

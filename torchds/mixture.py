@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import warnings
-import zipfile
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -17,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError
-from torchds.files import write_npz
+from torchds.files import read_npz, write_npz
 
 if TYPE_CHECKING:
     import sklearn.mixture
@@ -159,23 +158,24 @@ class GaussianMixture:
         """Read a mixture from an .npz file with `priors`, `means` and `covariances`.
 
         Raises:
-            FileError: no such file, another kind of file, or arrays that are not there.
+            FileError: no such file, another kind of file, a damaged one, one that would unpack to an absurd size, or arrays
+                that are not there or hold no numbers.
             DegenerateMixtureError: arrays that are no mixture.
         """
-        try:
-            with open(path, "rb") as stream, np.load(stream) as file:
-                found = {
-                    name.removeprefix("gmm_"): np.asarray(file[name], dtype=np.float64) for name in _ARRAYS & set(file)
-                }
-        except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            raise FileError(f"{path}: not a readable .npz file of a mixture ({error})") from error
+        found = {name.removeprefix("gmm_"): value for name, value in read_npz(Path(path), _ARRAYS).items()}
+        if odd := [name for name, value in found.items() if value.dtype.kind not in "biuf"]:
+            raise FileError(f"{path}: {odd[0]} has to hold real numbers, got {found[odd[0]].dtype}")
         found = {_ALIASES.get(name, name): value for name, value in found.items()}
         if missing := {"priors", "means", "covariances"} - set(found):
             raise FileError(
                 f"{path}: a mixture file has to hold priors (K,), means (K, F) and covariances (K, F, F), got one without "
                 f"{', '.join(sorted(missing))}; write it with GaussianMixture.save"
             )
-        return cls(*(torch.from_numpy(found[name]) for name in ("priors", "means", "covariances")))
+        arrays = (found[name].astype(np.float64) for name in ("priors", "means", "covariances"))
+        try:
+            return cls(*(torch.from_numpy(array) for array in arrays))
+        except DegenerateMixtureError as error:
+            raise DegenerateMixtureError(f"{path}: {error}") from None
 
     @classmethod
     def fit(

@@ -1,8 +1,13 @@
-"""Tables as text: in Markdown for pages, and aligned for the terminal."""
+"""Tables as text: in Markdown for pages, aligned for the terminal, and as .csv for other programs."""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from torchds.files import write_atomically
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "") -> str:
@@ -33,3 +38,19 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
         numbers = rows and all(isinstance(row[i], int | float) for row in rows)
         columns.append([cell.rjust(width) if numbers else cell.ljust(width) for cell in column])
     return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table that spreadsheets open, whole or not at all.
+
+    Args:
+        path: of the file.
+        header: names of the columns.
+        rows: one cell for each column; cells with commas are quoted.
+
+    Raises:
+        FileError: the disk is full, read-only or gone.
+    """
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([header, *rows])
+    write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))

@@ -7,6 +7,7 @@ of a person who back-drives the robot with a firm hand; nothing is said about st
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import torch
 from tasks.digging.gravel import Gravel
 from tasks.digging.simulation import WAY_POINTS, dig, scoop
 from tasks.digging.worlds import Worlds
+from torchds.files import write_atomically
 
 FOLDER = Path(__file__).parent / "demonstrations"
 SOIL = Gravel(density=1300.0, friction=0.6, seed=7)
@@ -49,7 +51,8 @@ def main() -> None:
     for i, motion in enumerate(hand):
         pose = recording.pose[i, : len(motion) : every].numpy()
         table = np.column_stack([STEP * np.arange(len(pose)), pose])
-        np.savetxt(FOLDER / f"{i + 1}.csv", table, "%.5f", ",", header="time,x,z,angle", comments="")
+        head = {"header": "time,x,z,angle", "comments": ""}
+        write_atomically(FOLDER / f"{i + 1}.csv", partial(np.savetxt, X=table, fmt="%.5f", delimiter=",", **head))
     print(f"{N} demonstrations in {FOLDER}; loads {recording.load.tolist()} N, failed: {recording.failed.tolist()}")
 
 

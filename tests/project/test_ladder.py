@@ -32,7 +32,7 @@ TASKS = [
     {"gym"},
 ]
 COMMANDS = [
-    {"options", "tables", "statistics"},
+    {"options", "pictures", "tables", "statistics"},
     {"folder"},
     {"searchers"},
     {"learning"},

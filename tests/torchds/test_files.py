@@ -2,12 +2,12 @@
 
 import errno
 import os
-import zipfile
 
 import numpy as np
 import pytest
 import torch
 
+from tests.recorded import write_absurd_npz
 from torchds import files
 from torchds.errors import FileError
 
@@ -159,7 +159,6 @@ def test_json_that_is_none_is_refused(tmp_path, text):
         files.read_json(tmp_path / "bad.json")
 
 
-@pytest.mark.slow
 def test_arrays_come_back_and_damaged_or_absurd_ones_do_not(tmp_path):
     path = tmp_path / "a.npz"
     np.savez_compressed(path, x=np.arange(1000.0))
@@ -169,18 +168,13 @@ def test_arrays_come_back_and_damaged_or_absurd_ones_do_not(tmp_path):
     path.write_bytes(raw)
     with pytest.raises(FileError):
         files.read_npz(path)
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
-        archive.open("x.npy", "w", force_zip64=True) as member,
-    ):
-        np.lib.format.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (2**26,)})
-        for _ in range(512):
-            member.write(bytes(2**20))
-    with pytest.raises(FileError, match="claims to unpack"):
+    write_absurd_npz(path, "x")
+    with pytest.raises(FileError, match="claims to unpack to 536870"):
         files.read_npz(path)
-    np.savez(path, x=np.array([{}], dtype=object))
+    np.savez(path, x=np.array([{}], dtype=object), y=np.ones(2))
     with pytest.raises(FileError):
         files.read_npz(path)
+    assert set(files.read_npz(path, ["y", "z"])) == {"y"}
 
 
 def test_what_is_no_file_is_said_to_be_none(tmp_path):

@@ -1,10 +1,11 @@
 """Tables in Markdown and for the terminal, read back cell by cell."""
 
+import csv
 import re
 
 import pytest
 
-from train.tables import aligned, markdown
+from train.tables import aligned, markdown, write_csv
 
 
 def cells(line):
@@ -45,3 +46,13 @@ def test_numbers_stand_right_and_text_left_for_the_terminal():
 def test_a_row_with_a_cell_too_few_is_found_out():
     with pytest.raises(IndexError):
         aligned(("a", "b"), [("x",)])
+
+
+def test_a_csv_table_is_read_back_and_replaces_the_old_one(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("old")
+    rows = [["x, y", 'say "no"'], [0.1, "two\nlines"]]
+    write_csv(path, ["name", "ü"], rows)
+    with path.open(newline="", encoding="utf-8") as file:
+        assert list(csv.reader(file)) == [["name", "ü"], rows[0], ["0.1", "two\nlines"]]
+    assert [file.name for file in tmp_path.iterdir()] == ["a.csv"]

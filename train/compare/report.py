@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -12,11 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from torch.utils.tensorboard import SummaryWriter
 
-from train.folder import write_text
+from train.folder import make_folder, write_text
+from train.learning.events import Events
+from train.pictures import save_figure
 from train.statistics import quartiles
-from train.tables import markdown
+from train.tables import markdown, write_csv
 
 HUGE = 1e300  # stands for infinity where numbers are interpolated
 REFERENCE = "pibb"  # whose final cost the others are held to
@@ -250,21 +250,22 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
     text = page(rows, options, versions)
     write_text(folder / "report.md", text)
     kept = [row for row in rows if not row.refused]
-    with (folder / "table.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["problem", *HEAD, "refused"])
-        for problem, members in by_problem(rows).items():
-            level = reference_level(members)
-            writer.writerows([problem, *cells(row, level), row.refused] for row in members)
-    with (folder / "curves.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["problem", "optimizer", "roll-outs", "q1", "median", "q3"])
-        for row in kept:
-            for rollouts, *values in zip(row.record["rollouts"], *row.quartiles().tolist(), strict=True):
-                writer.writerow([row.problem, row.label, rollouts, *values])
-    curves(rows).savefig(folder / "curves.png", dpi=130)
+    table = [
+        [problem, *cells(row, reference_level(members)), row.refused]
+        for problem, members in by_problem(rows).items()
+        for row in members
+    ]
+    write_csv(folder / "table.csv", ["problem", *HEAD, "refused"], table)
+    points = [
+        [row.problem, row.label, *point]
+        for row in kept
+        for point in zip(row.record["rollouts"], *row.quartiles().tolist(), strict=True)
+    ]
+    write_csv(folder / "curves.csv", ["problem", "optimizer", "roll-outs", "q1", "median", "q3"], points)
+    save_figure(folder / "curves.png", curves(rows))
     for i, row in enumerate(kept):
-        with SummaryWriter(str(folder / f"{i:03d}")) as board:
+        make_folder(folder / f"{i:03d}")
+        with Events(folder / f"{i:03d}") as board:
             hparams = {
                 "problem": row.problem,
                 "optimizer": row.label,
@@ -279,5 +280,5 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
                 "hparam/forward_equivalents": row.record["forward_equivalents"][-1],
                 "hparam/seconds": row.record["seconds"],
             }
-            board.add_hparams(hparams, metrics, run_name=".")
+            board.hyper_parameters(hparams, metrics)
     return text

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import io
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from tasks.base import Task
 from tasks.gym import TaskVectorEnv, observations
 from tasks.trials import Trials
 from torchds.errors import MissingPackageError
+from torchds.files import write_atomically
 
 if importlib.util.find_spec("stable_baselines3") is None:
     raise MissingPackageError("stable-baselines3", "baselines", "deep reinforcement learning")
@@ -175,6 +179,18 @@ def learn(
         agent = ALGORITHMS[algorithm](normalized, seed, n_steps)
         agent.learn(n_updates * n_rollouts * n_steps, callback=Evaluation(task, n_updates, every, report))
     return agent, normalized
+
+
+def save(folder: Path, seed: int, agent: BaseAlgorithm, normalized: VecNormalize) -> None:
+    """Write `agent-SEED.zip` and `normalization-SEED.pkl`, which stable-baselines3 loads, each whole or not at all.
+
+    Raises:
+        FileError: the disk is full, read-only or gone.
+    """
+    buffer = io.BytesIO()
+    agent.save(buffer)
+    write_atomically(folder / f"agent-{seed}.zip", lambda stream: stream.write(buffer.getbuffer()))
+    write_atomically(folder / f"normalization-{seed}.pkl", lambda stream: pickle.dump(normalized, stream))
 
 
 @contextmanager

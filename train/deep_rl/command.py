@@ -10,7 +10,6 @@ from typing import Any, Literal
 import torch
 import tyro
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 import tasks
@@ -18,6 +17,7 @@ from tasks import ENVIRONMENTS
 from tasks.base import total
 from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted, RunFolder
+from train.learning.events import Events
 from train.learning.history import History, results, table
 from train.options import check_seed
 from train.statistics import median
@@ -106,21 +106,20 @@ class DeepRL:
                     every=max(n_updates // EVALUATIONS, 1),
                     report=report,
                 )
-                agent.save(folder / f"agent-{seed}.zip")
-                normalized.save(str(folder / f"normalization-{seed}.pkl"))
+                agents.save(folder, seed, agent, normalized)
         except KeyboardInterrupt:
             raise Interrupted(f"stopped; {folder} has the agents that were ready") from None
         finally:
             bar.close()
         history = History(seconds=time.perf_counter() - began)
-        with SummaryWriter(str(folder)) as writer:
+        with Events(folder) as events:
             for update, runs in curves.items():
                 terms = {name: torch.stack([run[name] for run in runs]) for name in runs[0]}
                 history.add(update * n_rollouts, terms, failed=0, forward_equivalents=update * n_rollouts)
-                writer.add_scalar("cost/total", median(history.cost[-1]), update)
+                events.scalar("cost/total", median(history.cost[-1]), update)
                 for name, values in terms.items():
-                    writer.add_scalar(f"cost/{name}", values.median(), update)
-                writer.add_scalar("rollouts/total", history.rollouts[-1], update)
+                    events.scalar(f"cost/{name}", values.median(), update)
+                events.scalar("rollouts/total", history.rollouts[-1], update)
         run.write_results(results(self.task, self.to_json(), history))
         print(table(history))
         print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; agents and results in {folder}")

@@ -15,6 +15,7 @@ from train.folder import make_folder, versions, write_text
 from train.lasa import report
 from train.lasa.measures import FITS, Split, SplitKind, draw, evaluate, fits, single_motions
 from train.options import check_seed
+from train.pictures import save_figure
 
 
 @dataclass
@@ -66,7 +67,7 @@ class BenchmarkLasa:
         write_json(folder / "options.json", {"options": options, "versions": versions(), "seconds": round(total, 1)})
         write_text(folder / "benchmark_lasa.md", text)
         if shown is not None:
-            report.fields(motions, *shown, rows).savefig(folder / "fields.png", dpi=110)
+            save_figure(folder / "fields.png", report.fields(motions, *shown, rows), dpi=110)
         print(text.split("## By motion")[0])
         print(f"tables and figure in {folder}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from torchds import Demonstrations, StableFit, plotting, rollout
 from train.lasa.measures import Split
 from train.lasa.published import PUBLISHED, PUBLISHED_SEDS
-from train.tables import markdown
+from train.tables import markdown, write_csv
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -124,10 +123,7 @@ def write_tables(folder: Path, rows: Rows) -> None:
         for motion in motions
     ]
     for name, content in {"fits": rows, "by_method": by_method, "by_motion": by_motion}.items():
-        with (folder / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(content[0]))
-            writer.writeheader()
-            writer.writerows(content)
+        write_csv(folder / f"{name}.csv", list(content[0]), [list(row.values()) for row in content])
 
 
 @torch.no_grad()

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import sys
 import time
 from collections.abc import Collection
 from dataclasses import fields, replace
 from pathlib import Path
 
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from tasks.loading import short
 from torchds.errors import InvalidArgumentError
-from torchds.files import write_atomically
 from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder
 from train.learning import figures
 from train.learning.album import Album
@@ -22,6 +19,7 @@ from train.learning.events import Events
 from train.learning.history import results, table
 from train.learning.learner import Learner
 from train.options import RunOptions, check_seed
+from train.pictures import save_figure
 from train.statistics import median, quartiles
 
 SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
@@ -180,13 +178,6 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     events.hyper_parameters(hparams, {"hparam/final_cost_median": median(history.cost[-1])})
     events.flush()
     folder.write_results(results(options.task, options.to_json(), history))
-
-
-def save_figure(path: Path, figure: Figure) -> None:
-    """Write a picture, whole or not at all."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
 
 
 def log(events: Events, learner: Learner, seconds: float) -> None:

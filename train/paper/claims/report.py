@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from train import tables
 from train.folder import versions
 from train.paper.claims.base import ALPHA, HELD, IN_PART, MEDIUM, NOT_HELD, NOT_MEASURED, Check, Claim, verdict
-from train.tables import markdown
 
 COLUMNS = ("id", "where", "says", "rule", "verdict", "check", "holds", "n", "delta", "p", "command")
 HEADER = ("claim", "where", "what the paper says; what it takes to hold", "measured", "verdict")
@@ -49,11 +48,9 @@ def rows_of(row: Judged) -> list[dict[str, str]]:
 
 def write_csv(path: Path, rows: Sequence[Judged]) -> None:
     """One line per check."""
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        writer.writeheader()
-        for row in rows:
-            writer.writerows(rows_of(row))
+    tables.write_csv(
+        path, COLUMNS, [[cells.get(name, "") for name in COLUMNS] for row in rows for cells in rows_of(row)]
+    )
 
 
 def statistics(check: Check) -> str:
@@ -114,5 +111,5 @@ def page(rows: Sequence[Judged], runs: int, command: str) -> str:
         f"p is not corrected for that.{caution(runs)} The tasks fill in what the paper leaves out: geometry, via-points and "
         "demonstrations are our own. The digging rows are of a simulated robot, one learning run from each stiffness and five "
         "trials.\n\n"
-        "## Claims\n\n" + markdown(HEADER, table) + "\n"
+        "## Claims\n\n" + tables.markdown(HEADER, table) + "\n"
     )
