@@ -5,7 +5,9 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +16,12 @@ from torch import Tensor
 
 from torchds.demonstrations import Demonstrations
 from torchds.errors import MissingPackageError
+from torchds.files import write_atomically
 from torchds.policy import GMRPolicy
 
 try:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
 except ImportError as error:
     raise MissingPackageError("matplotlib", "plot", "drawing figures") from error
@@ -128,3 +132,14 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
     axes.set_ylabel("cost of the policy without noise")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
+
+
+def save(path: str | Path, figure: Figure, dpi: int = 130) -> None:
+    """Write a figure as .png, whole or not at all.
+
+    Raises:
+        FileError: the disk is full, read-only or gone; what was there before is unchanged.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))

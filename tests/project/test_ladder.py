@@ -32,7 +32,7 @@ TASKS = [
     {"gym"},
 ]
 COMMANDS = [
-    {"options", "pictures", "tables", "statistics"},
+    {"options", "tables", "statistics"},
     {"folder"},
     {"searchers"},
     {"learning"},

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tests.motions import two
 from torchds import plotting
-from torchds.errors import MissingPackageError
+from torchds.errors import FileError, MissingPackageError
 
 
 @pytest.fixture
@@ -111,3 +111,19 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.axes", None)
     with pytest.raises(MissingPackageError, match=r"'matplotlib'.*pip install 'torchds\[plot\]'"):
         importlib.import_module("torchds.plotting")
+
+
+def test_a_picture_is_whole_or_the_old_one_stays(axes, tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    path.write_text("old")
+
+    def broken(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("os.fsync", broken)
+        with pytest.raises(FileError, match=r"a\.png cannot be written: No space left on device"):
+            plotting.save(path, axes.figure)
+    assert path.read_text() == "old" and [file.name for file in tmp_path.iterdir()] == ["a.png"]
+    plotting.save(path, axes.figure, dpi=10)
+    assert path.read_bytes().startswith(b"\x89PNG")

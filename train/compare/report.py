@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from torchds import plotting
 from train.folder import make_folder, write_text
 from train.learning.events import Events
-from train.pictures import save_figure
 from train.statistics import quartiles
 from train.tables import markdown, write_csv
 
@@ -262,7 +262,7 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
         for point in zip(row.record["rollouts"], *row.quartiles().tolist(), strict=True)
     ]
     write_csv(folder / "curves.csv", ["problem", "optimizer", "roll-outs", "q1", "median", "q3"], points)
-    save_figure(folder / "curves.png", curves(rows))
+    plotting.save(folder / "curves.png", curves(rows))
     for i, row in enumerate(kept):
         make_folder(folder / f"{i:03d}")
         with Events(folder / f"{i:03d}") as board:

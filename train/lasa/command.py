@@ -8,14 +8,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from torchds import StableFit
+from torchds import StableFit, plotting
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.files import write_json
 from train.folder import make_folder, versions, write_text
 from train.lasa import report
 from train.lasa.measures import FITS, Split, SplitKind, draw, evaluate, fits, single_motions
 from train.options import check_seed
-from train.pictures import save_figure
 
 
 @dataclass
@@ -67,7 +66,7 @@ class BenchmarkLasa:
         write_json(folder / "options.json", {"options": options, "versions": versions(), "seconds": round(total, 1)})
         write_text(folder / "benchmark_lasa.md", text)
         if shown is not None:
-            save_figure(folder / "fields.png", report.fields(motions, *shown, rows), dpi=110)
+            plotting.save(folder / "fields.png", report.fields(motions, *shown, rows), dpi=110)
         print(text.split("## By motion")[0])
         print(f"tables and figure in {folder}")
 

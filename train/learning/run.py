@@ -11,6 +11,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from tasks.loading import short
+from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder
 from train.learning import figures
@@ -19,7 +20,6 @@ from train.learning.events import Events
 from train.learning.history import results, table
 from train.learning.learner import Learner
 from train.options import RunOptions, check_seed
-from train.pictures import save_figure
 from train.statistics import median, quartiles
 
 SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
@@ -171,7 +171,7 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     options, history = learner.options, learner.history
     folder.save_policy(learner.policy.state_dict())
     for name, figure in figures.of_run(learner).items():
-        save_figure(folder.path / f"{name}.png", figure)
+        plotting.save(folder.path / f"{name}.png", figure)
         events.figure(name, figure, learner.n_updates)
     album.finish(folder.path)
     hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.folder import make_folder, write_text
 from train.options import check_seed
 from train.paper.figures import digging, impedance, noise, stable, via_points
 from train.paper.figures.base import Made
 from train.paper.measured.digging import Experiment
-from train.pictures import save_figure
 
 DIGGING: dict[int, Callable[[Experiment], Made]] = {
     15: digging.figure_15,
@@ -75,7 +75,7 @@ class Figures:
         print(f"figures in {folder}")
         for number in tqdm(self.figure, desc="figures", unit="figure", dynamic_ncols=True):
             made = self.digging(number) if number in DIGGING else FIGURES[number](self.runs, self.seed)
-            save_figure(folder / f"figure-{number}.png", made.figure)
+            plotting.save(folder / f"figure-{number}.png", made.figure)
             command = f"python -m train figures --figure {number} --runs {self.runs} --seed {self.seed}"
             text = f"# Figure {number}\n\n{made.caption.strip()}\n\nMade by `{command}`.\n"
             write_text(folder / f"figure-{number}.md", text)
