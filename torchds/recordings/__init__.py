@@ -7,9 +7,7 @@ Stability: stable.
 
 from __future__ import annotations
 
-import functools
 import glob
-import operator
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
@@ -17,6 +15,8 @@ from typing import Unpack
 from torchds.demonstrations import Demonstrations
 from torchds.errors import FileError, InvalidArgumentError
 from torchds.files import existing
+from torchds.recordings import mat, npz
+from torchds.recordings.base import together
 from torchds.recordings.csv import SUFFIXES as _TABLES
 from torchds.recordings.csv import load_csv as load_csv
 from torchds.recordings.csv import read_table as read_table
@@ -52,9 +52,9 @@ def load(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -> De
             f"{str(Path(str(paths)) / ('*' + kinds[0])) if isinstance(paths, (str, Path)) else '*' + kinds[0]!r}"
         )
     if kinds == [".npz"]:
-        return functools.reduce(operator.add, [load_npz(path, **how) for path in files])
+        return together([npz.recorded(path, how) for path in files], how)
     if kinds == [".mat"]:
-        return functools.reduce(operator.add, [load_mat(path, **how) for path in files])
+        return together([mat.recorded(path, how) for path in files], how)
     raise FileError(
         f"{files[0]}: cannot tell what kind of file this is; known are .csv, .txt, .npz, .mat and a folder of one of them"
     )

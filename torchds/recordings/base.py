@@ -5,11 +5,15 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +58,44 @@ def canonical(record: Mapping[str, np.ndarray]) -> Record:
     return {field: lowered[aliases[0]] for field, aliases in found.items() if aliases}
 
 
+class Recorded(NamedTuple):
+    """What a file of arrays holds.
+
+    Attributes:
+        path: of the file.
+        records: one for each demonstration, with times in seconds.
+        shared: a time step for the whole file.
+        names: of the dimensions.
+        units: of the positions.
+    """
+
+    path: Path
+    records: list[Record]
+    shared: np.ndarray | None
+    names: list[str] | None = None
+    units: list[str] | None = None
+
+    def demonstrations(self, how: Reading) -> Demonstrations:
+        """As demonstrations; nothing is said about them yet."""
+        return from_records(self.path, self.records, how, shared=self.shared, names=self.names, units=self.units)
+
+
+def together(files: Sequence[Recorded], how: Reading) -> Demonstrations:
+    """The demonstrations of several files one after the other; what is suspicious about them is said as warnings.
+
+    A `dt` of the arguments is one for all demonstrations of all files, or one for each of them.
+    """
+    ends = [0, *accumulate(len(file.records) for file in files)]
+    steps = one_for_each(how.get("dt"), ends[-1])
+    each = []
+    for file, start, end in zip(files, ends, ends[1:], strict=False):
+        own: Reading = {**how, "dt": steps[start:end]}
+        each.append(file.demonstrations(own))
+    demos = functools.reduce(operator.add, each)
+    demos.check().warn(stacklevel=4)
+    return demos
+
+
 def from_records(
     source: Path,
     records: Sequence[Record],
@@ -64,7 +106,7 @@ def from_records(
     names: Sequence[str] | None = None,
     units: str | Sequence[str] | None = None,
 ) -> Demonstrations:
-    """Demonstrations of records with times in seconds, checked: what is suspicious about them is said as warnings.
+    """Demonstrations of records with times in seconds.
 
     Args:
         source: the file or folder.
@@ -84,8 +126,7 @@ def from_records(
             raise FileError(f"{where[missing[0]]} has no {what}; give them in all demonstrations, or in none")
     for place, record in zip(where, records, strict=True):
         _check_arrays(place, record)
-    dt = how.get("dt")
-    given = [None] * n if dt is None else per_demonstration("dt", dt, n)
+    given = one_for_each(how.get("dt"), n)
     common = [None] * n if shared is None else per_demonstration(f"{source}: dt", shared, n, FileError)
     names = how.get("names") if how.get("names") is not None else names
     units = how.get("units") if how.get("units") is not None else units
@@ -107,8 +148,14 @@ def from_records(
             )
     except InvalidDemonstrationsError as error:
         raise FileError(f"{source}: {' '.join(str(error).split())}") from error
-    demos.check().warn(stacklevel=4)
     return demos
+
+
+def one_for_each(dt: object, n: int) -> list[float | None]:
+    """The argument dt as one for each of n demonstrations, None where it says nothing."""
+    said = np.ravel(np.asarray(dt, dtype=object)).tolist()
+    steps = per_demonstration("dt", [0.0 if step is None else step for step in said], n)
+    return [None if said[i % len(said)] is None else step for i, step in enumerate(steps)]
 
 
 def _check_arrays(where: str, record: Record) -> None:
@@ -198,7 +245,8 @@ def _time_step(where: str, record: Record, common: float | None, given: float | 
     for name, other in others:
         if not math.isclose(step, other, rel_tol=1e-3):
             raise FileError(
-                f"{where}: {first} says {step:.6g} s but {name} {other:.6g} s; keep one (retime() changes speed)"
+                f"{where}: {first} says {step:.6g} s but {name} {other:.6g} s; keep one (retime() changes speed), for several "
+                "demonstrations with dt= one for each, None where it has a clock"
             )
     return step
 

@@ -72,9 +72,11 @@ def load_csv(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -
         records += parts
         places += [f"{path}: demonstration {i}" if len(parts) > 1 else str(path) for i in range(len(parts))]
     units = [columns[i].unit for i in chosen.x]
-    return from_records(
+    demos = from_records(
         Path(", ".join(map(str, files))), records, how, places=places, names=_names(columns, chosen), units=units
     )
+    demos.check().warn()
+    return demos
 
 
 def _names(columns: Sequence[Named], chosen: Layout) -> list[str]:

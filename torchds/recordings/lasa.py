@@ -12,9 +12,10 @@ import numpy as np
 
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, MissingPackageError, UnknownNameError
-from torchds.recordings.mat import demonstrations
+from torchds.recordings.mat import in_variables
 from torchds.recordings.matlab import restore
 from torchds.recordings.matlab_process import plain, variables
+from torchds.recordings.reading import Reading
 
 
 def lasa_names(*, single: bool = False) -> list[str]:
@@ -51,7 +52,8 @@ def load_lasa(
     arrays: dict[str, np.ndarray] = {}
     # Installed as code is, so that no other process has to read it.
     contents = {key: restore(plain(value, arrays), arrays) for key, value in variables(str(file)).items()}
-    demos = demonstrations(file, contents, {"variable": "demos", "time_axis": 1})[:n_demos]
+    how: Reading = {"variable": "demos", "time_axis": 1}
+    demos = in_variables(file, contents, how).demonstrations(how)[:n_demos]
     demos = demos.scale(scale, units={1.0: "mm", 1e-3: "m"}.get(scale, ""))
     return demos if duration is None else demos.retime(duration)
 

@@ -14,7 +14,7 @@ import numpy as np
 from torchds.demonstrations import Demonstrations
 from torchds.errors import FileError, UnknownNameError
 from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright, with_halves, without_clock
-from torchds.recordings.base import canonical, from_records, group
+from torchds.recordings.base import Recorded, canonical, group, together
 from torchds.recordings.matlab import read_variables
 from torchds.recordings.parts import Record
 from torchds.recordings.reading import Reading, check
@@ -39,12 +39,17 @@ def load_mat(path: str | Path, **how: Unpack[Reading]) -> Demonstrations:
         UnknownNameError: there is no variable of that name.
         InvalidArgumentError: an argument out of its range.
     """
+    return together([recorded(path, how)], how)
+
+
+def recorded(path: str | Path, how: Reading) -> Recorded:
+    """What a file holds."""
     check(how)
-    return demonstrations(Path(path), read_variables(path), how)
+    return in_variables(Path(path), read_variables(path), how)
 
 
-def demonstrations(path: Path, contents: Mapping[str, Any], how: Reading) -> Demonstrations:
-    """Those in the variables of a file."""
+def in_variables(path: Path, contents: Mapping[str, Any], how: Reading) -> Recorded:
+    """What the variables of a file hold."""
     variable = how.get("variable")
     if variable is not None and variable not in contents:
         raise UnknownNameError(f"variable in {path.name}", variable, contents)
@@ -58,13 +63,13 @@ def demonstrations(path: Path, contents: Mapping[str, Any], how: Reading) -> Dem
         turned = [chosen(place(path, i), record, how) for i, record in enumerate(turned)]
         turned = with_halves(turned, _steps(len(turned), shared, how), how)
     records = [part for i, record in enumerate(turned) for part in finished(place(path, i), record, how)]
-    return from_records(path, records, how, shared=shared)
+    return Recorded(path, records, shared)
 
 
 def _steps(n: int, shared: np.ndarray | None, how: Reading) -> list[float | None]:
     """The time step of each of n matrices, where it is known."""
-    value = shared if shared is not None else how.get("dt")
-    steps = [] if value is None else np.asarray(value, dtype=float).ravel().tolist()
+    said = np.asarray(how.get("dt") if shared is None else shared, dtype=object).ravel().tolist()
+    steps = [None if step is None else float(step) for step in said]
     return steps if len(steps) == n else steps * n if len(steps) == 1 else [None] * n
 
 

@@ -12,7 +12,7 @@ from torchds.demonstrations import Demonstrations
 from torchds.errors import FileError, UnknownNameError
 from torchds.files import read_npz
 from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright
-from torchds.recordings.base import canonical, from_records, group
+from torchds.recordings.base import Recorded, canonical, group, together
 from torchds.recordings.parts import Record
 from torchds.recordings.reading import Reading, check
 
@@ -33,6 +33,11 @@ def load_npz(path: str | Path, **how: Unpack[Reading]) -> Demonstrations:
         FileError: the file is missing, is no such archive, or its arrays cannot be used.
         UnknownNameError: an array that is not there.
     """
+    return together([recorded(path, how)], how)
+
+
+def recorded(path: str | Path, how: Reading) -> Recorded:
+    """What an archive holds."""
     check(how, without=("variable",))
     arrays = read_npz(path)
     path = Path(path)
@@ -62,5 +67,4 @@ def load_npz(path: str | Path, **how: Unpack[Reading]) -> Demonstrations:
         for piece in apart(place(path, i), record, how):
             turned = upright(place(path, len(records)), piece, how, longer=False, dim=dim)
             records += finished(place(path, len(records)), chosen(place(path, len(records)), turned, how), how)
-    shared = arrays.get("dt")
-    return from_records(path, records, how, shared=shared, names=names, units=units)
+    return Recorded(path, records, arrays.get("dt"), names, units)

@@ -20,7 +20,8 @@ class Reading(TypedDict, total=False):
     """Arguments of `load`, `load_csv`, `load_npz` and `load_mat`. Columns and fields are given by name, or by number from 0.
 
     Attributes:
-        dt: time step [s], for files without a clock; one for all or one for each demonstration.
+        dt: time step [s], for files without a clock; one for all, or one for each demonstration of all files, None for those
+            with a clock.
         time: the column or field of time.
         time_unit: of it: s, ms, us, ns or min.
         positions: the columns or the field of the positions, in this order; all others are then left out.
@@ -38,7 +39,7 @@ class Reading(TypedDict, total=False):
         demo_axis: of three-dimensional arrays, the axis along which the demonstrations stand.
     """
 
-    dt: float | Sequence[float] | None
+    dt: float | Sequence[float | None] | None
     time: Column | None
     time_unit: str | None
     positions: Columns | None

@@ -8,7 +8,7 @@ import torch
 from tests.motions import refuses
 from tests.recorded import COUNT, DT, MOTION, STEP, TIMES, X, is_motion, table, whole
 from torchds import load
-from torchds.errors import DemonstrationWarning, FileError
+from torchds.errors import DemonstrationWarning, FileError, InvalidArgumentError
 
 
 def test_time_that_starts_anew(file):
@@ -54,6 +54,52 @@ def test_folders_and_patterns(tmp_path):
     np.savez(tmp_path / "b.npz", x=X, dt=DT)
     with refuses(FileError, "files of several kinds, .mat, .npz", "*.mat"):
         load(tmp_path)
+
+
+def test_dt_of_several_files_of_which_some_have_a_clock(tmp_path):
+    def write(i, **clock):
+        np.savez(tmp_path / f"run{i}.npz", x=X + i, **clock)
+
+    write(0)
+    write(1, dt=0.02)
+    pattern = tmp_path / "*.npz"
+    with refuses(FileError, "run0", "no time step; pass dt="):
+        load(pattern)
+    with refuses(
+        FileError, "run1", "dt says 0.02 s but the argument dt 0.01 s", "one for each, None where it has a clock"
+    ):
+        load(pattern, dt=0.01)
+    for steps in ([0.01, None], (0.01, 0.02), np.array([0.01, 0.02])):
+        demos = load(pattern, dt=steps)
+        assert demos.dt == (0.01, 0.02) and torch.equal(demos[1].x, torch.from_numpy(X + 1))
+    with refuses(FileError, "run1", "dt says 0.02 s but the argument dt 0.03 s"):
+        load(pattern, dt=[0.01, 0.03])
+    with refuses(InvalidArgumentError, "dt has to be one value for all or one for each of the 2 demonstrations, got 3"):
+        load(pattern, dt=[0.01, None, 0.02])
+    write(1)
+    assert load(pattern, dt=0.01).dt == (0.01, 0.01) and load(pattern, dt=[0.01, 0.02]).dt == (0.01, 0.02)
+
+
+def test_dt_of_several_matlab_files(tmp_path):
+    scipy.io.savemat(tmp_path / "run0.mat", {"x": X})
+    scipy.io.savemat(tmp_path / "run1.mat", {"x": X, "dt": 0.02})
+    assert load(tmp_path, dt=[0.01, None]).dt == (0.01, 0.02)
+
+
+def test_dt_of_several_tables(tmp_path):
+    for i in range(2):
+        (tmp_path / f"run{i}.csv").write_text(table("x,y", *(X + i).T))
+    assert load(tmp_path, dt=[0.01, 0.02]).dt == (0.01, 0.02)
+    with refuses(FileError, "run0", "no time step; pass dt="):
+        load(tmp_path, dt=[None, 0.02])
+
+
+def test_what_is_suspicious_about_several_files_together_is_said_once(tmp_path):
+    for i in range(3):
+        np.savez(tmp_path / f"run{i}.npz", x=MOTION + 50 * (i == 2), dt=STEP)
+    with pytest.warns(DemonstrationWarning, match=r"\[goals apart\]") as said:
+        load(tmp_path / "*.npz")
+    assert len(said) == 1
 
 
 def test_padding_by_nan_and_by_zeros(mat):
