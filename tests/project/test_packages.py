@@ -40,10 +40,11 @@ COMMANDS = {
 CASES = [(module, code) for module, (*_, code) in NEEDED.items()]
 CASES += [(module, code) for module, codes in COMMANDS.items() for code in codes]
 
-# One process for all: each case is a fork of it, in which torch is there already and the package is not.
+# One process for all: each case is a fork of it, in which what takes long to import is there already and the package is not.
 SCRIPT = """
 import os, sys, traceback
-import torch, torchds, torchds.metrics
+import matplotlib.pyplot, scipy.interpolate, scipy.stats, sklearn.mixture, torch._dynamo, tyro
+import torchds, torchds.metrics
 
 class Failed(Exception):
     pass

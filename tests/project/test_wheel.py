@@ -1,5 +1,6 @@
 """What pip brings: wheel and sdist are built, installed outside the checkout, and tried with no extra and with each alone."""
 
+import json
 import os
 import re
 import subprocess
@@ -30,19 +31,41 @@ NEEDS = {
     "metrics": "torchds.metrics.dtwd(torch.zeros(3, 2), torch.ones(4, 2))",
 }
 
-HIDE = """
-import sys
+# One process of the user's interpreter for all cases: each is a fork of it, in which what torchds needs is there
+# already and the hidden modules are not installed.
+CASES = """
+import json, os, sys, traceback
 from importlib.machinery import PathFinder
-hidden = set(sys.argv[1].split())
-class Visible(PathFinder):
-    @classmethod
-    def find_spec(cls, name, path=None, target=None):
-        return None if name.split(".")[0] in hidden else super().find_spec(name, path, target)
-sys.meta_path[sys.meta_path.index(PathFinder)] = Visible
+import scipy.interpolate, sklearn.mixture, torch._dynamo
+
+def case(code, hidden):
+    class Visible(PathFinder):
+        @classmethod
+        def find_spec(cls, name, path=None, target=None):
+            return None if name.split(".")[0] in hidden else super().find_spec(name, path, target)
+    for name in [name for name in sys.modules if name.split(".")[0] in hidden]:
+        del sys.modules[name]  # torch takes tqdm where it is
+    sys.meta_path[sys.meta_path.index(PathFinder)] = Visible
+    exec(code, {"hidden": hidden})
+
+for line in sys.stdin:
+    code, hidden, said = json.loads(line)
+    child = os.fork()
+    if not child:
+        os.dup2(os.open(said, os.O_WRONLY), 1)
+        os.dup2(1, 2)
+        try:
+            case(code, set(hidden))
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        sys.stdout.flush()
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 WITHOUT_EXTRAS = """
-import importlib, pkgutil, torch, torchds
+import importlib, pkgutil, sys, torch, torchds
 assert torchds.__file__.startswith(sys.prefix), torchds.__file__
 t = torch.linspace(0, 1, 50, dtype=torch.float64)
 curves = [torch.stack([t.cos() + shift, t.sin()], -1).numpy() for shift in (0.0, 0.01)]
@@ -60,7 +83,7 @@ for info in pkgutil.walk_packages(torchds.__path__, "torchds."):
 """
 
 CHECKOUT = f"""
-import importlib, pathlib, torchds
+import importlib, pathlib, sys, torchds
 sys.path.append({str(ROOT)!r})
 for package in ("tasks", "train"):
     for path in sorted(pathlib.Path(sys.path[-1], package).rglob("*.py")):
@@ -102,25 +125,29 @@ def built(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def python(built, tmp_path_factory):
-    """The interpreter of an environment in which the wheel is installed."""
-    folder = tmp_path_factory.mktemp("user") / "venv"
-    venv.create(folder, with_pip=False)
-    pip = [sys.executable, "-m", "pip", "--python", str(folder), "install", "--no-index", "--no-deps", str(built[1])]
-    subprocess.run(pip, check=True, capture_output=True)
+def run(built, tmp_path_factory):
+    """Runs code in an environment in which the wheel is installed, as if the hidden modules were not; gives what it printed."""
+    folder = tmp_path_factory.mktemp("user")
+    venv.create(folder / "venv", with_pip=False)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "venv"), "install", "--no-index", "--no-deps"]
+    subprocess.run([*pip, str(built[1])], check=True, capture_output=True)
     # Third-party packages come from this environment; its .pth files, which lead to the checkout, are not read there.
-    target = next(folder.rglob("site-packages"))
+    target = next((folder / "venv").rglob("site-packages"))
     (target / "third_party.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
-    return folder / "bin" / "python"
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment.pop("PYTHONPATH", None)
+    command = [folder / "venv" / "bin" / "python", "-W", "error", "-c", CASES]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=folder, env=environment, text=True, **pipes) as process:
 
+        def run(code, hidden):
+            said = folder / "said"
+            said.write_text("")
+            print(json.dumps([code, sorted(hidden), str(said)]), file=process.stdin, flush=True)
+            assert process.stdout.readline() == "0\n", said.read_text()
+            return said.read_text()
 
-def run(python, code, hidden):
-    """Run code outside the checkout as if the hidden modules were not installed."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [python, "-W", "error", "-c", HIDE + code, " ".join(sorted(hidden))]
-    done = subprocess.run(command, cwd=python.parents[2], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+        yield run
 
 
 def test_the_sdist_holds_the_library_and_its_pages_alone(built):
@@ -140,22 +167,22 @@ def test_the_wheel_holds_the_library_alone(built):
 
 
 @pytest.mark.parametrize("extras", [(), *((extra,) for extra in EXTRAS)], ids=lambda extras: "".join(extras) or "none")
-def test_the_library_works_with_no_extra_and_with_each_alone(python, extras):
-    run(python, WITHOUT_EXTRAS, all_but(*extras))
+def test_the_library_works_with_no_extra_and_with_each_alone(run, extras):
+    run(WITHOUT_EXTRAS, all_but(*extras))
 
 
 @pytest.mark.parametrize("extra", NEEDS)
-def test_what_needs_an_extra_works_with_it_alone_and_names_it_where_it_is_missing(python, extra):
-    run(python, f"import torch, torchds\n{NEEDS[extra]}", all_but(extra))
+def test_what_needs_an_extra_works_with_it_alone_and_names_it_where_it_is_missing(run, extra):
+    run(f"import torch, torchds\n{NEEDS[extra]}", all_but(extra))
     missing = (
         f"import torch, torchds\ntry: {NEEDS[extra]}\nexcept torchds.errors.MissingPackageError as error: print(error)"
     )
-    assert f"pip install 'torchds[{extra}]'" in run(python, missing, all_but())
+    assert f"pip install 'torchds[{extra}]'" in run(missing, all_but())
 
 
 @pytest.mark.parametrize("extras", [(), ("train",)], ids=["none", "train"])
-def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(python, extras):
-    lines = run(python, CHECKOUT, all_but(*extras)).splitlines()
+def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(run, extras):
+    lines = run(CHECKOUT, all_but(*extras)).splitlines()
     named = {line.split()[0]: re.search(r"torchds\[(\w+)\]", line)[1] for line in lines}
     sources = (ROOT / "tasks" / "digging").glob("*.py")
     digging = {f"tasks.digging.{path.stem}".removesuffix(".__init__"): "digging" for path in sources}
@@ -168,7 +195,7 @@ def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(python, ext
     assert named == {**digging, "tasks.gym": "baselines", **later}
 
 
-def test_the_first_example_of_the_readme_needs_the_extra_lasa_alone(python):
+def test_the_first_example_of_the_readme_needs_the_extra_lasa_alone(run):
     example = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[1]
     end = "\nwith torch.no_grad(): print(float(closure()))"
-    assert float(run(python, example + end, all_but("lasa"))) < 1.0  # 3.1 before learning
+    assert float(run(example + end, all_but("lasa"))) < 1.0  # 3.1 before learning

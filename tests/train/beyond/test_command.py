@@ -7,25 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-import tasks
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.beyond import command as beyond
 from train.beyond.command import Beyond, grow
 from train.learning.learner import Learner
 from train.options import options_for
-
-
-class Short(tasks.TwoStarts):
-    """Two starts in a tenth of the steps."""
-
-    def motion(self):
-        motion = super().motion()
-        return motion._replace(n_steps=motion.n_steps // 10, dt=10 * motion.dt)
-
-
-@pytest.fixture(scope="module")
-def task():
-    return Short()
 
 
 def test_growing_leaves_cost_noise_and_decay_where_they_were(task):

@@ -10,19 +10,6 @@ from torchds.errors import InvalidArgumentError
 from train.beyond.starts import comparable, one_start
 
 
-class Short(tasks.TwoStarts):
-    """Two starts in a tenth of the steps."""
-
-    def motion(self):
-        motion = super().motion()
-        return motion._replace(n_steps=motion.n_steps // 10, dt=10 * motion.dt)
-
-
-@pytest.fixture(scope="module")
-def task():
-    return Short()
-
-
 def test_comparable_starts_have_one_minimum_and_spread_and_keep_their_order(randn):
     costs = randn(8, 5).exp() * torch.tensor([1.0, 100.0]).repeat(4).unsqueeze(-1)
     each, scaled = (c.unflatten(0, (4, 2)).numpy() for c in (costs, comparable(costs, 2, "range")))
