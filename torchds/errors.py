@@ -29,6 +29,10 @@ class DemonstrationWarning(UserWarning):
     """Recorded data can be used, but look as if they were something else than they seem (`Demonstrations.check`)."""
 
 
+class LargestMixtureWarning(UserWarning):
+    """The best number of Gaussians is the largest that was allowed, so that a larger one may be better."""
+
+
 class EqualCostsWarning(UserWarning):
     """All roll-outs of a run cost the same, so that an optimizer learned nothing from them and left the parameters alone."""
 

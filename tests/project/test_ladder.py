@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of its own rung and below.
 LIBRARY = [
     {"errors"},
-    {"visits", "arrays", "files", "findings", "locks"},
+    {"visits", "arrays", "em", "files", "findings", "locks"},
     {"preparation", "mending"},
     {"mixture", "demonstrations", "costs", "stability", "metrics"},
     {"recordings", "parameters", "trainable", "starts"},

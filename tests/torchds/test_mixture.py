@@ -10,7 +10,13 @@ from torch.testing import assert_close
 
 from tests.recorded import write_absurd_npz
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, load_lasa
-from torchds.errors import DegenerateMixtureError, DemonstrationWarning, FileError, InvalidArgumentError
+from torchds.errors import (
+    DegenerateMixtureError,
+    DemonstrationWarning,
+    FileError,
+    InvalidArgumentError,
+    LargestMixtureWarning,
+)
 
 AXIS = np.linspace(-25, 25, 1001)  # sums over it integrate Gaussians of unit scale to rounding errors
 STEP = AXIS[1] - AXIS[0]
@@ -233,7 +239,15 @@ def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
 
 def test_bic_counts_well_separated_clusters(clusters):
     assert GaussianMixture.fit(clusters, "bic", max_components=5, tol=1e-3).n_components == 3
-    assert GaussianMixture.fit(clusters, "bic", max_components=2).n_components == 2
+
+
+@pytest.mark.parametrize("largest", [1, 2])
+def test_the_largest_number_that_is_allowed_is_said_where_it_is_the_best(clusters, largest):
+    with pytest.warns(
+        LargestMixtureWarning, match=f"of 1 to {largest} Gaussians the largest .*; raise max_comp"
+    ) as said:
+        assert GaussianMixture.fit(clusters, "bic", max_components=largest).n_components == largest
+    assert said[0].filename == __file__
 
 
 def test_bic_charges_each_free_number_the_logarithm_of_the_samples(randn):
