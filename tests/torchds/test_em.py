@@ -80,6 +80,7 @@ def test_a_fit_uses_one_thread_and_gives_the_others_back(arc, monkeypatch):
     def threads():
         return {pool["num_threads"] for pool in threadpoolctl.threadpool_info()}
 
+    by_sklearn(arc, 2)  # loads all libraries that have threads
     seen, fit = [], sklearn.mixture.GaussianMixture.fit
     monkeypatch.setattr(sklearn.mixture.GaussianMixture, "fit", lambda self, y: seen.append(threads()) or fit(self, y))
     with threadpoolctl.threadpool_limits(2):
