@@ -182,6 +182,18 @@ class Task(ABC):
         steps = total(running.values()) if running else terminal.new_zeros(*terminal.shape, path.v.shape[-2])
         return torch.cat([steps[..., :-1], (steps[..., -1] + terminal).unsqueeze(-1)], -1)
 
+    def about(self, policy: GMRPolicy) -> dict[str, Any]:
+        """What a file of a policy of this task says beside the policy, `policy.save(path, **task.about(policy))`."""
+        scene, D = self.scene(), policy.input_dim
+        names = self.source.names if self.source is not None else ()
+        return {
+            "goal": scene.goal if scene.goal.shape == (D,) else None,
+            "P": self.P,
+            "names": names if len(names) == D else (),
+            "units": scene.unit,
+            "dt": self.motion().dt,
+        }
+
     def evaluate(self, policy: GMRPolicy) -> tuple[Rollout, dict[str, Tensor]]:
         """A trial without noise and all its cost terms `(*batch)`, the control cost among them."""
         path = self.rollout(policy)

@@ -57,6 +57,7 @@ from torchds.recruiting import recruit as recruit
 from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout
+from torchds.saving import load_policy as load_policy
 from torchds.starts import fit_mixtures as fit_mixtures
 
 __version__ = "0.1.0"
@@ -81,6 +82,7 @@ __all__ = [
     "load_lasa",
     "load_mat",
     "load_npz",
+    "load_policy",
     "metrics",
     "most_wanted",
     "optim",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -200,3 +200,21 @@ def per_demonstration(
             f"{name} has to be one value for all or one for each of the {n} demonstrations, got {len(steps)} values"
         )
     return steps * n if len(steps) == 1 else steps
+
+
+def of_one_dtype(given: Mapping[str, Any], finite: Sequence[str] = ()) -> Any:
+    """Arrays by name as tensors of the widest dtype among them; None stays None.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers, or one of those in `finite` that is not.
+    """
+    kinds = [value.dtype for value in given.values() if isinstance(value, Tensor) and value.is_floating_point()]
+    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
+    device = next((value.device for value in given.values() if isinstance(value, Tensor)), torch.device("cpu"))
+    reference = torch.empty(0, dtype=dtype, device=device)
+    tensors = {name: None if value is None else like(name, value, reference) for name, value in given.items()}
+    for name in finite:
+        value = tensors[name]
+        if value is not None and not value.isfinite().all():
+            raise InvalidArgumentError(f"{name} has to be finite, got NaN or infinity in {shown(value)}")
+    return tensors.values()

@@ -27,11 +27,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchds import archives
+from torchds.archives import check_sizes
+from torchds.archives import existing as existing
+from torchds.archives import reason as reason
 from torchds.errors import FileError
 
 FORMAT = 1  # of the envelope below; a file of a later one is refused
-LARGEST = 2**31  # bytes that one archive may unpack to
-SEAL = "torchds"
+SEAL = archives.SEAL
 
 
 def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
@@ -63,11 +66,6 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         raise FileError(f"{path} cannot be written: {reason(error)}; what was there before is unchanged") from error
 
 
-def reason(error: BaseException) -> str:
-    """What the system says about a file, without the path."""
-    return getattr(error, "strerror", None) or str(error).split("\n")[0] or type(error).__name__
-
-
 def _flush_folder(path: Path) -> None:
     """Have the system write the entries of a folder to the disk."""
     handle = os.open(path, os.O_RDONLY)
@@ -80,19 +78,28 @@ def _flush_folder(path: Path) -> None:
 # ------------------------------------------------------------------ tensors and plain values
 
 
-def save(path: str | Path, kind: str, content: Mapping[str, Any]) -> None:
+def save(path: str | Path, kind: str, content: Mapping[str, Any], *, without_torch: bool = False) -> None:
     """Write tensors and plain values, with what they are and a digest; `torch.load(path, weights_only=True)` opens it too.
 
     Args:
         path: of the file.
         kind: what the content is, such as "checkpoint".
         content: dicts, lists and tuples of tensors, strings, numbers, booleans and None.
+        without_torch: whether `torchds.archives.read` shall read the file too; names are strings then, tuples become lists.
 
     Raises:
         FileError: see `write_atomically`.
     """
     buffer = io.BytesIO()  # torch's own writer reports a full disk in words of its own
     torch.save({SEAL: FORMAT, "kind": kind, "digest": digest(content), "content": content}, buffer)
+    if without_torch:
+        arrays: list[np.ndarray] = []
+
+        def place(tensor: Tensor) -> dict[str, int]:
+            arrays.append(tensor.detach().cpu().contiguous().numpy())
+            return {archives.PLACE: len(arrays) - 1}
+
+        archives.add_index(buffer, kind, json.dumps(content, default=place), arrays)
     write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
 
 
@@ -105,7 +112,7 @@ def load(path: str | Path, kind: str) -> dict[str, Any]:
     path = existing(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            _check_sizes(path, archive, stored=True)
+            check_sizes(path, archive, stored=True)
         sealed = torch.load(path, weights_only=True, map_location="cpu")
     except FileError:
         raise
@@ -251,7 +258,7 @@ def read_npz(path: str | Path, wanted: Iterable[str] | None = None) -> dict[str,
     path = existing(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            _check_sizes(path, archive, stored=False)
+            check_sizes(path, archive, stored=False)
             if (bad := archive.testzip()) is not None:
                 raise FileError(f"{path} is damaged: {bad} does not have the checksum that was written with it")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
@@ -276,33 +283,3 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]  # numpy's stub lets allow_pickle clash with every keyword
     write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
-
-
-def _check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
-    """Refuse an archive that would unpack to more than it can be meant to hold."""
-    size = path.stat().st_size
-    unpacked = sum(member.file_size for member in archive.infolist())
-    allowed = size if stored else min(LARGEST, max(100 * size, 2**28))
-    if unpacked > allowed:
-        raise FileError(f"{path} has {size} bytes and claims to unpack to {unpacked}; at most {allowed} are taken")
-    names = [member.filename for member in archive.infolist()]
-    if len(set(names)) < len(names):
-        raise FileError(f"{path} holds several members of one name")
-
-
-def existing(path: str | Path) -> Path:
-    """The path of a regular file that is there.
-
-    Raises:
-        FileError: there is none, or it is a folder or something else.
-    """
-    path = Path(path)
-    try:
-        if path.is_file():
-            return path
-        there = path.exists()
-    except (OSError, ValueError) as error:  # a name that is too long, or has a null in it
-        raise FileError(f"{str(path)!r} is no usable name of a file: {reason(error)}") from error
-    if there:
-        raise FileError(f"{path} is a folder or something else that is no file")
-    raise FileError(f"{path}: no such file (looked in {path.parent.resolve()})")

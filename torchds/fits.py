@@ -10,6 +10,7 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -52,6 +53,10 @@ class StableFit(NamedTuple):
     def certificate(self) -> Certificate:
         """The policy's certificate for this goal and P."""
         return self.policy.certificate(self.goal, self.P)
+
+    def save(self, path: str | Path, *, names: Sequence[str] = (), units: str = "", dt: float | None = None) -> None:
+        """Write the policy with its goal and P to one file, see `GMRPolicy.save`."""
+        self.policy.save(path, goal=self.goal, P=self.P, names=names, units=units, dt=dt)
 
 
 @torch.enable_grad()

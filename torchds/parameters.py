@@ -5,12 +5,15 @@ Stability: stable.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Self
 
 import torch
 from torch import Tensor, nn
 
+from torchds import policy_file
+from torchds.arrays import Array
 from torchds.errors import InvalidArgumentError
 
 
@@ -26,6 +29,9 @@ class ExpertParameters(nn.Module):
         stiffness_A: `(*batch, K, Q, D)` slopes of the stiffness.
         stiffness_b: `(*batch, K, Q)` offsets of the stiffness.
     """
+
+    info: policy_file.Info = policy_file.Info()
+    """What belongs to the policy beside its field; `save` writes it, and a policy from a file has it."""
 
     A: nn.Parameter
     b: nn.Parameter
@@ -155,6 +161,37 @@ class ExpertParameters(nn.Module):
                 parameter.grad = None  # of another batch; autograd could not add to it
             parameter.data = value.to(parameter).clone()
         return self
+
+    # ------------------------------------------------------------------ a file
+
+    def save(
+        self,
+        path: str | Path,
+        *,
+        goal: Array | None = None,
+        P: Array | None = None,
+        names: Sequence[str] = (),
+        units: str = "",
+        dt: float | None = None,
+    ) -> None:
+        """Write the policy, of any batch, to one file that `torchds.load_policy` and `torchds.Controller.load` read.
+
+        Torch opens it too, `torch.load(path, weights_only=True)["content"]`. What is not given is taken from `info`.
+
+        Args:
+            path: of the file, such as "policy.pt".
+            goal: `(D,)` or `(*batch, D)` where the motions end.
+            P: `(D, D)` or `(*batch, D, D)` of the condition of stability that holds.
+            names: of the D inputs.
+            units: of positions, such as "m".
+            dt: time step that it is meant for [s].
+
+        Raises:
+            InvalidArgumentError: what is given does not fit D inputs.
+            FileError: the file cannot be written; what was there before is unchanged.
+        """
+        info = policy_file.completed(self.info, self.input_dim, goal, P, names, units, dt)
+        policy_file.write(path, dict(self.named_buffers(recurse=False)) | dict(self.row_parameters), info)
 
 
 def arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:

@@ -6,8 +6,6 @@ Stability: stable.
 from __future__ import annotations
 
 import copy
-import functools
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -15,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import stability
-from torchds.arrays import like, shown
+from torchds.arrays import like, of_one_dtype
 from torchds.errors import InvalidArgumentError
 from torchds.mixture import GaussianMixture
 from torchds.parameters import ExpertParameters, arrange
@@ -82,7 +80,9 @@ class GMRPolicy(ExpertParameters):
     ) -> None:
         given: dict[str, Any] = {"priors": priors, "means": means, "covariances": covariances, "A": A, "b": b}
         given |= {"stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
-        priors, means, covariances, A, b, stiffness_A, stiffness_b = _of_one_dtype(given)
+        priors, means, covariances, A, b, stiffness_A, stiffness_b = of_one_dtype(
+            given, finite=("A", "b", "stiffness_A", "stiffness_b")
+        )
         gate = GaussianMixture(priors, means, covariances)
         K, D = means.shape[-2:]
         if (stiffness_A is None) != (stiffness_b is None):
@@ -208,6 +208,7 @@ class GMRPolicy(ExpertParameters):
         for name, value in self.named_buffers(recurse=False):
             if value.ndim - _CORE[name] == n:  # others are shared by the whole batch, or by its first dimension
                 setattr(policy, name, value[index].clone())
+        policy.info = self.info.part(index, n)
         return policy
 
     def _with(self, values: dict[str, Tensor]) -> GMRPolicy:
@@ -328,21 +329,3 @@ class GMRPolicy(ExpertParameters):
     def certificate(self, goal: Tensor, P: Tensor | None = None) -> stability.Certificate:
         """What proves that every motion of this policy ends at `goal`; see `torchds.stability.certificate`."""
         return stability.certificate(self, goal, P)
-
-
-def _of_one_dtype(given: Mapping[str, Any]) -> Any:
-    """What makes a policy as tensors of the widest dtype among them; None stays None.
-
-    Raises:
-        InvalidArgumentError: no array of real numbers, or slopes and offsets that are not finite.
-    """
-    kinds = [value.dtype for value in given.values() if isinstance(value, Tensor) and value.is_floating_point()]
-    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
-    device = next((value.device for value in given.values() if isinstance(value, Tensor)), torch.device("cpu"))
-    reference = torch.empty(0, dtype=dtype, device=device)
-    tensors = {name: None if value is None else like(name, value, reference) for name, value in given.items()}
-    for name in ("A", "b", "stiffness_A", "stiffness_b"):
-        value = tensors[name]
-        if value is not None and not value.isfinite().all():
-            raise InvalidArgumentError(f"{name} has to be finite, got NaN or infinity in {shown(value)}")
-    return tensors.values()

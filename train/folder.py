@@ -13,7 +13,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
-from torchds import files
+from tasks import Task
+from torchds import GMRPolicy, files, load_policy
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.locks import one_writer
 from train.options import RunOptions, options_class
@@ -171,19 +172,19 @@ class RunFolder:
             )
         return {**content, "cost": numbers(content["cost"]), "terms": numbers(content["terms"])}
 
-    def save_policy(self, state: Mapping[str, Any]) -> None:
-        """Write the policies."""
-        files.save(self.path / POLICY, "policy", state)
+    def save_policy(self, policy: GMRPolicy, task: Task) -> None:
+        """Write the policies, with what the task says about them."""
+        policy.save(self.path / POLICY, **task.about(policy))
 
-    def policy(self) -> dict[str, Any]:
-        """The state of the policies.
+    def policy(self) -> GMRPolicy:
+        """The policies.
 
         Raises:
             InvalidArgumentError: there is none.
             FileError: the file is damaged.
         """
         self.require(POLICY)
-        return files.load(self.path / POLICY, "policy")
+        return load_policy(self.path / POLICY)
 
 
 # ------------------------------------------------------------------ whose a file is

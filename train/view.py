@@ -52,10 +52,10 @@ class View:
                 f"look at {self.policy / 'film.gif'}, which the run left"
             )
         learner = Learner(options)
-        learner.policy.load_state_dict(RunFolder(self.policy).policy())
+        policy = RunFolder(self.policy).policy()
         print("one trial, then the window opens ...")
         task: Any = learner.task
-        show(task.gravel, learner.task.rollout(learner.policy[self.run]))
+        show(task.gravel, learner.task.rollout(policy[self.run]))
 
     def options(self) -> RunOptions:
         """Those of the run in the folder.

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.faults import cases
-from torchds import files
+from torchds import GMRPolicy, archives, files
 from torchds.errors import FileError, TorchdsError
 from train.folder import RunFolder
 from train.hardware import given
@@ -19,6 +19,9 @@ PLACES = 200 if cases.CASES else 40
 OPTIONS = options_for("via_point", runs=2, updates=3)
 HISTORY = History([0, 5], [[1.5, 2.5], [0.5, float("nan")]], {"goal": [[1.5, 2.5], [0.5, 0.1]]}, [0, 1], [0, 5], 3.25)
 TENSORS = {"A": torch.arange(24, dtype=torch.float64).reshape(2, 3, 4), "b": torch.ones(3)}
+POLICY = GMRPolicy(
+    torch.tensor([0.5, 0.5]), torch.ones(2, 2), torch.eye(2).repeat(2, 1, 1), -torch.ones(2, 2, 2), torch.ones(2, 2)
+)
 
 
 class Learned:
@@ -40,6 +43,16 @@ def restored(folder):
     return [events, learner.state]
 
 
+def policy(folder):
+    learned = RunFolder(folder).policy()
+    return [learned.state_dict(), learned.info.units]
+
+
+def without_torch(folder):
+    content = archives.read(folder / "controller.pt", "policy")
+    return [{name: torch.from_numpy(value.copy()) for name, value in content["values"].items()}, content["units"]]
+
+
 def experiment(folder):
     return Experiment(folder, 0, options_for("lwr_digging", seed=3))
 
@@ -59,7 +72,8 @@ KINDS = {
         lambda folder: RunFolder(folder).write_results(results("via_point", OPTIONS.to_json(), HISTORY)),
         lambda folder: RunFolder(folder).results(),
     ),
-    "policy.pt": (lambda folder: RunFolder(folder).save_policy(TENSORS), lambda folder: RunFolder(folder).policy()),
+    "policy.pt": (lambda folder: POLICY.save(folder / "policy.pt", units="m"), policy),
+    "controller.pt": (lambda folder: POLICY.save(folder / "controller.pt", units="m"), without_torch),
     "session.pt": (
         lambda folder: files.save(folder / "session.pt", "session", {"learner": TENSORS, "asked": True}),
         lambda folder: files.load(folder / "session.pt", "session"),

@@ -11,12 +11,13 @@ ROOT = Path(__file__).parents[2]
 # A module may import modules of its own rung and below.
 LIBRARY = [
     {"errors"},
+    {"archives"},
     {"visits", "arrays", "em", "files", "findings", "locks"},
-    {"preparation", "mending"},
+    {"preparation", "mending", "policy_file"},
     {"mixture", "demonstrations", "costs", "stability", "metrics"},
     {"recordings", "parameters", "trainable", "starts"},
     {"policy"},
-    {"plants", "cartesian"},
+    {"plants", "cartesian", "saving"},
     {"impedance", "rollouts"},
     {"sensitivity", "fits", "recruiting"},
     {"exploration"},

@@ -34,7 +34,7 @@ WRITERS |= {
 EXACT = {"os.replace", "os.rename", "shutil.move", "shutil.copy"}
 
 IN_MEMORY = {"buffer", "stream"}  # a BytesIO, or what `write_atomically` gives
-OURS = {"files", "agents", "mixture", "plotting"}  # whose `save` is tested here too
+OURS = {"files", "agents", "mixture", "plotting", "policy"}  # whose `save` is tested here too
 
 ALLOWED = {
     "torchds/files.py": {"os.open", "os.fdopen", "os.replace"},  # what this is about

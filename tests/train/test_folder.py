@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import tasks
 from torchds.errors import InvalidArgumentError
 from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, versions
 from train.learning.history import History, results
@@ -69,9 +70,11 @@ def test_results_and_policy_come_back(tmp_path):
     folder = RunFolder(tmp_path)
     record = results("via_point", {"seed": 3}, History(cost=[[1.5, 2.5]], terms={"goal": [[1.5, 2.5]]}))
     folder.write_results(record)
-    folder.save_policy({"A": torch.ones(2, 3)})
+    task = tasks.make("via_point")
+    folder.save_policy(policy := task.policy().expand(2), task)
     assert folder.results() == record
-    assert torch.equal(folder.policy()["A"], torch.ones(2, 3))
+    assert torch.equal(folder.policy().A, policy.A)
+    assert folder.policy().info[2:5] == (("x1", "x2"), task.scene().unit, task.motion().dt)
     assert sorted(path.name for path in tmp_path.iterdir()) == [POLICY, RESULTS]
 
 

@@ -141,7 +141,7 @@ class Session:
         history = self.learner.history
         run = RunFolder(self.folder)
         run.write_results(results(self.options.task, self.options.to_json(), history))
-        run.save_policy(self.learner.policy.state_dict())
+        run.save_policy(self.learner.policy, self.learner.task)
         kept = {
             name: hashlib.sha256((self.folder / name).read_bytes()).hexdigest() for name in (DEMONSTRATIONS, MIXTURE)
         }

@@ -169,7 +169,7 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     """Write policies, figures, film and hyper-parameters, and the results last: then the run is finished."""
     learner = album.learner
     options, history = learner.options, learner.history
-    folder.save_policy(learner.policy.state_dict())
+    folder.save_policy(learner.policy, learner.task)
     for name, figure in figures.of_run(learner).items():
         plotting.save(folder.path / f"{name}.png", figure)
         events.figure(name, figure, learner.n_updates)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchds import files
+from torchds import load_policy
 from train import __main__ as train_main
 from train.learning.learner import Learner
 from train.options import options_for
@@ -61,7 +61,7 @@ def test_a_session_with_a_robot_in_another_process_learns_as_one_in_this_process
             assert outcome["cost"].tolist() == tried[-1].cost[:, 0].tolist()
             assert outcome["weight"].tolist() == tried[-1].weights[:, 0].tolist()
         robot.stdin.close()
-    learned = files.load(folder / "policy.pt", "policy")
+    learned = load_policy(folder / "policy.pt").state_dict()
     assert all(torch.equal(learned[name], value) for name, value in expected.policy.state_dict().items())
     results = json.loads((folder / "results.json").read_text())
     assert results["rollouts"] == [0, 3] and results["failed"] == [0, 0] and results["seconds"] == 6 * SECONDS

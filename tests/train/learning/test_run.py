@@ -81,7 +81,7 @@ def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one
     subprocess.run([sys.executable, "-m", "train", "via_point", "--resume", str(folder)], check=True, **where)
     (whole,) = (tmp_path / "whole" / "via_point" / "pibb").iterdir()
     assert costs(folder) == costs(whole)
-    a, b = (files.load(f / "policy.pt", "policy") for f in (folder, whole))
+    a, b = (files.load(f / "policy.pt", "policy")["values"] for f in (folder, whole))
     assert all(torch.equal(a[name], b[name]) for name in a)
 
 
