@@ -17,7 +17,7 @@ from tasks.imitation import without_stiffness
 from tasks.settings import Convention, Motion, Scene, SearchSettings
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
 from torchds.plants import Plant
-from torchds.rollouts import StopCondition
+from torchds.stops import StopCondition
 
 T = TypeVar("T")
 

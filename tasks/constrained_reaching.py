@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from tasks.base import Task
 from tasks.imitation import without_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
-from torchds import Demonstrations, GMRPolicy, Rollout, costs, fit_stable
+from torchds import Demonstrations, GMRPolicy, Rollout, Walls, costs, fit_stable
 from torchds.errors import InvalidArgumentError
 from torchds.fits import StableFit
 
@@ -33,35 +33,6 @@ START = (-7.0, 1.0 - math.sqrt((SHORTEST - math.hypot(*CORNER)) ** 2 - 36.0))
 OFFSETS = ((-0.6, 0.3), (-0.2, -0.6), (0.5, 0.5), (0.3, -0.2))
 CONTROLS = ((-7.5, 2.0), (-0.5, 5.1))
 DEMONSTRATED = 12.0  # s
-
-
-@dataclass(frozen=True)
-class Walls:
-    """A stop condition: a step that would cross or touch a wall is not taken.
-
-    Args:
-        segments: `(W, 2, 2)` the ends of each wall.
-    """
-
-    segments: Tensor
-
-    def __call__(self, x: Tensor, x_next: Tensor) -> Tensor:
-        """True where the segment from `x` to `x_next`, each `(..., 2)`, meets a wall."""
-        ends = self.segments.to(x)
-        p, q = ends.unbind(-2)  # (W, 2)
-        a, b = x.unsqueeze(-2), x_next.unsqueeze(-2)  # (..., 1, 2)
-        # Each segment's ends lie on different sides of the other one, or on it.
-        apart = _side(p, q, a) * _side(p, q, b) <= 0
-        across = _side(a, b, p) * _side(a, b, q) <= 0
-        # Four points in a row, and a step that rests, are on both sides of everything: what decides are the extents.
-        near = (torch.minimum(a, b) <= torch.maximum(p, q)) & (torch.maximum(a, b) >= torch.minimum(p, q))
-        return (apart & across & near.all(-1)).any(-1)
-
-
-def _side(p: Tensor, q: Tensor, x: Tensor) -> Tensor:
-    """Twice the signed area of the triangle p, q, x."""
-    u, w = torch.broadcast_tensors(q - p, x - p)
-    return u[..., 0] * w[..., 1] - u[..., 1] * w[..., 0]
 
 
 class ConstrainedReaching(Task):

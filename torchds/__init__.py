@@ -54,11 +54,12 @@ from torchds.recordings import load_mat as load_mat
 from torchds.recordings import load_npz as load_npz
 from torchds.recruiting import most_wanted as most_wanted
 from torchds.recruiting import recruit as recruit
-from torchds.rollouts import Bounds as Bounds
 from torchds.rollouts import Rollout as Rollout
 from torchds.rollouts import rollout as rollout
 from torchds.saving import load_policy as load_policy
 from torchds.starts import fit_mixtures as fit_mixtures
+from torchds.stops import Bounds as Bounds
+from torchds.stops import Walls as Walls
 
 __version__ = "0.1.0"
 
@@ -71,6 +72,7 @@ __all__ = [
     "GaussianMixture",
     "Rollout",
     "StableFit",
+    "Walls",
     "costs",
     "errors",
     "exploration",

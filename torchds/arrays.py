@@ -218,3 +218,19 @@ def of_one_dtype(given: Mapping[str, Any], finite: Sequence[str] = ()) -> Any:
         if value is not None and not value.isfinite().all():
             raise InvalidArgumentError(f"{name} has to be finite, got NaN or infinity in {shown(value)}")
     return tensors.values()
+
+
+def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
+    """The shape that tensors of these shapes broadcast to; that of torch imports sympy, which takes half a second.
+
+    Raises:
+        RuntimeError: they do not broadcast.
+    """
+    n = max(map(len, shapes))
+    sizes = [
+        {size for size in each if size != 1}
+        for each in zip(*((1,) * (n - len(s)) + tuple(s) for s in shapes), strict=True)
+    ]
+    if any(len(each) > 1 for each in sizes):
+        raise RuntimeError(f"shapes {[tuple(shape) for shape in shapes]} do not broadcast")
+    return tuple(each.pop() if each else 1 for each in sizes)

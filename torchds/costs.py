@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from torchds import kernels
+
 
 def via_points(x: Tensor, points: Tensor) -> Tensor:
     """Σ_l min_{j ≥ 1} |x_l^via − x_j|², the via-point term of Eq. 39.
@@ -72,6 +74,8 @@ def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: flo
     weight = torch.as_tensor(weight, dtype=features.dtype, device=features.device).expand(deviation.shape)
     for _ in range(features.ndim - deviation.ndim):  # an axis for each of the points
         deviation, noise, weight = (rows.unsqueeze(-3) for rows in (deviation, noise, weight))
+    if kernels.fits(deviation, noise, features, weight):
+        return kernels.control_cost(deviation, noise, features, weight)
     controlled = weight > 0
     inverse = torch.where(controlled, 1.0 / weight, 0.0)
     drift = torch.where(controlled, deviation, 0.0) @ features.mT  # (*batch, O, T): θ*·g

@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.errors import InvalidArgumentError
+from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
 from torchds.plants import Command, PointMass, PointMassState
 from torchds.rollouts import Rollout
 
@@ -92,18 +94,41 @@ class ImpedanceControlled:
         x, v = self.plant.advance(state, a, dt)
         return PointMassState(x, v, a, s, force)
 
+    def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
+        """The same for compiled code; None with a force that has no scalar step."""
+        if type(self) is not ImpedanceControlled or type(self.plant) is not PointMass:
+            return None
+        force, push = None, self.plant.force
+        if push is not None:
+            make = own(push, "scalar_step")
+            if make is None or (force := make(n_axes, n_rows)) is None:
+                return None
+        max_rate = math.inf if self.max_rate is None else self.max_rate
+        limits = (self.low, self.high, max_rate)
+        numbers = (self.plant.mass, self.plant.damping, self.form == "explicit", *limits, self.stiffness is not None)
+        each = self._followed(n_axes, n_rows) if self.stiffness is None else self.stiffness
+        each = torch.as_tensor(each, dtype=torch.float64)
+        each = each.expand(*each.shape[:-1], n_axes)  # the constant of each axis, or the row that it follows
+        common = each.new_tensor([float(number) for number in numbers]).expand(*each.shape[:-1], len(numbers))
+        return ScalarStep(IMPEDANCE, torch.cat([common, each], -1), force)
+
     def _stiffness(self, x: Tensor, asked: Tensor | None) -> Tensor:
         if self.stiffness is not None:
             return torch.as_tensor(self.stiffness, dtype=x.dtype, device=x.device).expand_as(x)
-        n_axes, n_rows = x.shape[-1], 0 if asked is None else asked.shape[-1]
+        if asked is None:
+            asked = x[..., :0]
+        return asked.clamp(self.low, self.high)[..., self._followed(x.shape[-1], asked.shape[-1])]
+
+    def _followed(self, n_axes: int, n_rows: int) -> list[int]:
+        """For each axis the policy's stiffness row that it follows."""
         index = list(self.rows) if self.rows is not None else [0] * n_axes if n_rows == 1 else list(range(n_rows))
-        if asked is None or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
-            received = "a policy without stiffness" if asked is None else f"{n_rows} stiffness rows"
+        if not n_rows or len(index) != n_axes or not all(0 <= i < n_rows for i in index):
+            received = f"{n_rows} stiffness rows" if n_rows else "a policy without stiffness"
             raise InvalidArgumentError(
                 f"{received} cannot control {n_axes} axes by rows={tuple(index)}: make the policy with stiffness_dim=1 (the "
                 f"same for all axes) or {n_axes}, or give ImpedanceControlled a constant stiffness"
             )
-        return asked.clamp(self.low, self.high)[..., index]
+        return index
 
 
 def injected_energy(path: Rollout) -> Tensor:

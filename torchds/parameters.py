@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from torchds import policy_file
-from torchds.arrays import Array
+from torchds.arrays import Array, broadcast_shape
 from torchds.errors import InvalidArgumentError
 
 
@@ -200,15 +200,6 @@ def arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:
     if stiffness:
         experts = cat_broadcast([experts, cat_broadcast([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
     return experts.movedim(-3, -2).flatten(-2)
-
-
-def broadcast_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
-    """The shape that tensors of these shapes broadcast to.
-
-    Raises:
-        RuntimeError: they do not broadcast.
-    """
-    return tuple(torch.broadcast_shapes(*shapes))  # type: ignore[no-untyped-call]
 
 
 def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:

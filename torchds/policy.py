@@ -15,6 +15,7 @@ from torch.nn import functional as F
 from torchds import stability
 from torchds.arrays import like, of_one_dtype
 from torchds.errors import InvalidArgumentError
+from torchds.kernels.fused import Field
 from torchds.mixture import GaussianMixture
 from torchds.parameters import ExpertParameters, arrange
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 # Dimensions of each buffer behind the batch.
 _CORE = {"priors": 1, "means": 2, "factors": 3, "_center": 1, "_offset": 1, "_log_scale": 1}
 _CORE |= {"initial_A": 3, "initial_b": 2, "initial_stiffness_A": 3, "initial_stiffness_b": 2}
+_OUTPUTS = ("gating", "_whitened", "_at_points", "features", "outputs")  # methods that compiled code stands for
 
 
 class GMRPolicy(ExpertParameters):
@@ -255,9 +257,7 @@ class GMRPolicy(ExpertParameters):
     def _whitened(self, x: Tensor) -> Tensor:
         """L_k⁻¹ (x − μ_k) for all components, `(..., K D)`."""
         W = self.factors.flatten(-3, -2)
-        far = torch.finfo(W.dtype).max ** 0.5 / (
-            4 * self.input_dim
-        )  # beyond, a product would be infinity minus infinity
+        far = torch.finfo(W.dtype).max ** 0.5 / (4 * self.input_dim)  # beyond, a product is infinity minus infinity
         if W.ndim == 2:
             return F.linear((x - self._center).clamp(-far, far), W, self._offset)
         centered = (x - self._at_points(self._center, 1, x)).clamp(-far, far)
@@ -293,6 +293,12 @@ class GMRPolicy(ExpertParameters):
         for _ in range(n_points - 1):
             rows = rows.unsqueeze(-3)
         return features @ rows.mT
+
+    def field(self, rows: Tensor) -> Field | None:
+        """`rows` and gating for compiled code; None for a subclass with outputs of its own making."""
+        if any(getattr(type(self), n) is not getattr(GMRPolicy, n) or n in self.__dict__ for n in _OUTPUTS):
+            return None
+        return Field(rows, self.output_dim, self._center, self.factors, self._offset, self._log_scale)
 
     def forward(self, x: Tensor) -> Tensor:
         """The velocity ẋ `(*batch, *points, O)` at `x` `(*batch, *points, D)` (Eq. 1)."""

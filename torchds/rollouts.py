@@ -13,14 +13,12 @@ from typing import Any, Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from torchds import visits
-from torchds.arrays import Array, count, like, number, without_autocast
+from torchds import kernels, visits
+from torchds.arrays import Array, broadcast_shape, count, like, number, without_autocast
 from torchds.errors import InvalidArgumentError
-from torchds.parameters import broadcast_shape
+from torchds.kernels import Backend, Setting, Unfit, own
 from torchds.plants import Command, Plant
-
-StopCondition = Callable[[Tensor, Tensor], Tensor]
-"""(x, x_next), each `(*batch, *points, D)` -> bool `(*batch, *points)`: True where the step must not be taken."""
+from torchds.stops import StopCondition
 
 Shift = Array | Callable[[float], Array]
 """`(D,)`, `(*points, D)` or `(*batch, *points, D)`, or a function of the time [s] that returns one of these."""
@@ -95,29 +93,6 @@ class Rollout:
         return self.resting[..., -1]
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """The stop condition of a box: a step that would leave [low, high], or is not finite, is not taken.
-
-    Args:
-        low: number or `(D,)`.
-        high: number or `(D,)`.
-    """
-
-    low: float | Tensor
-    high: float | Tensor
-
-    def __call__(self, x: Tensor, x_next: Tensor) -> Tensor:
-        """True where `x_next` is outside."""
-        return ~((x_next >= self.low) & (x_next <= self.high)).all(-1)
-
-    def __post_init__(self) -> None:
-        for name in ("low", "high"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, float, Tensor)):
-                object.__setattr__(self, name, like(name, value, torch.zeros((), dtype=torch.float64)))
-
-
 def rollout(
     policy: DynamicalSystem,
     x0: Array,
@@ -128,6 +103,7 @@ def rollout(
     stop: StopCondition | None = None,
     plant: Plant | None = None,
     shift: Shift | None = None,
+    backend: Backend = "auto",
 ) -> Rollout:
     """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
 
@@ -138,10 +114,12 @@ def rollout(
         n_steps: T.
         dt: time step [s].
         starts: how the leading dimensions of `x0` are read.
-        stop: a roll-out rests for good where this is True; see `Bounds`.
+        stop: a roll-out rests for good where this is True; see `torchds.stops`.
         plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34).
         shift: how far the whole field is moved, ẋ = policy(x − shift), also as a function of time: a motion that ends
             at x* then ends at x* + shift, and follows a target that moves (section 5.1).
+        backend: "auto" for compiled code where there is some for all of this (`torchds.kernels`), else the eager loop, one
+            tensor call a time step; "eager" or "fused" for that one. Their numbers are the same but for round-off.
 
     Returns:
         A `Rollout`; differentiable with respect to the parameters and `x0`. States may diverge to infinity or NaN:
@@ -149,9 +127,9 @@ def rollout(
 
     Raises:
         InvalidArgumentError: wrong dimension or leading shape of `x0` or `shift`, n_steps < 1, dt ≤ 0, or a policy with
-            fewer velocities than inputs.
+            fewer velocities than inputs; "fused" where that cannot be, with the reason.
     """
-    D, batch, rows = policy.input_dim, policy.batch_shape, policy.rows()
+    D, O, batch, rows = policy.input_dim, policy.output_dim, policy.batch_shape, policy.rows()
     x0, n_steps = like("x0", x0, rows), count("n_steps", n_steps, 1)
     dt = number("dt", dt, "positive and finite", lambda step: 0 < step < math.inf)
     if x0.shape[-1:] != (D,):
@@ -162,30 +140,109 @@ def rollout(
         raise InvalidArgumentError(
             f"x0 {tuple(x0.shape)} has to begin with batch_shape {batch} for starts='per_policy'"
         )
-    if policy.output_dim < D:
-        raise InvalidArgumentError(
-            f"a policy of {D} inputs has to have as many velocities or more, got {policy.output_dim}"
-        )
-    x = x0 if starts == "per_policy" else x0.expand(*batch, *x0.shape)
-    with without_autocast(x):
-        O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
-        moments, features, stiffness, inputs = [now], [], [], []
-        for i in range(n_steps):
-            if shift is None:
-                g = policy.features(now.x)
-            else:
-                inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
-                g = policy.features(inputs[-1])
-            y = policy.outputs(g, rows)
-            v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
-            now = advance(now, v, s, i * dt, dt, stop, plant)
-            moments.append(now)
-            features.append(g)
-            if s is not None:
-                stiffness.append(s)
-        path = record(moments, features, stiffness, dt, inputs)
+    if O < D:
+        raise InvalidArgumentError(f"a policy of {D} inputs has to have as many velocities or more, got {O}")
+    lead = (*(() if starts == "per_policy" else batch), *x0.shape[:-1])
+    path = None
+    if (wanted := kernels.wanted(backend)) != "eager":
+        try:
+            path = _fused(policy, rows, x0, lead, n_steps, dt, stop, plant, shift)
+        except Unfit as reason:
+            if wanted == "fused":
+                raise kernels.cannot(reason) from None
+    if path is None:
+        with without_autocast(x0):
+            path = _eager(policy, rows, x0.expand(*lead, D), n_steps, dt, stop, plant, shift)
     visits.report(policy, path.features)
     return path
+
+
+def _eager(
+    policy: DynamicalSystem,
+    rows: Tensor,
+    x: Tensor,
+    n_steps: int,
+    dt: float,
+    stop: StopCondition | None,
+    plant: Plant | None,
+    shift: Shift | None,
+) -> Rollout:
+    """The definition of a roll-out, one tensor call a time step, from the starts `x` `(*batch, *points, D)`."""
+    O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
+    moments, features, stiffness, inputs = [now], [], [], []
+    for i in range(n_steps):
+        if shift is None:
+            g = policy.features(now.x)
+        else:
+            inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
+            g = policy.features(inputs[-1])
+        y = policy.outputs(g, rows)
+        v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
+        now = advance(now, v, s, i * dt, dt, stop, plant)
+        moments.append(now)
+        features.append(g)
+        if s is not None:
+            stiffness.append(s)
+    return record(moments, features, stiffness, dt, inputs)
+
+
+def _fused(
+    policy: DynamicalSystem,
+    rows: Tensor,
+    x0: Tensor,
+    lead: tuple[int, ...],
+    n_steps: int,
+    dt: float,
+    stop: StopCondition | None,
+    plant: Plant | None,
+    shift: Shift | None,
+) -> Rollout:
+    """The same in compiled code; raises `Unfit` with the reason where that cannot be."""
+    D, Q = policy.input_dim, policy.stiffness_dim
+    make = own(policy, "field")
+    field = None if make is None else make(rows)
+    if field is None:
+        raise Unfit(f"{type(policy).__name__} makes its outputs in a way of its own")
+    if callable(shift):
+        raise Unfit("the shift is a function of time; a constant one would do")
+    shift = None if shift is None else _checked_shift(shift, x0.expand(*lead, D))
+    gating = (field.center, field.factors, field.offset, field.log_scale)
+    kernels.check(rows, x0, *gating, shift)
+    if any(tensor.requires_grad for tensor in (*gating, shift) if tensor is not None) and torch.is_grad_enabled():
+        raise Unfit("gradients for the gating or the shift need the eager loop")
+    if 0 in lead:
+        raise Unfit("there is no roll-out")
+    setting = Setting(lead, n_steps, float(dt), shift)
+    if stop is not None:
+        setting = setting._replace(stop=kernels.scalar_step(stop, "stop condition", D, Q, rows))
+    fields: Any = None
+    if plant is not None:
+        setting = setting._replace(plant=kernels.scalar_step(plant, "plant", D, Q, rows))
+        fields = plant.reset(x0.expand(*lead, D))
+        setting = setting._replace(begin=kernels.flat_state(fields, rows))
+
+    def definition(rows: Tensor, x: Tensor) -> tuple[Tensor, ...]:
+        path = _eager(policy, rows, x, n_steps, dt, stop, None, shift)
+        return path.reference, path.v, path.features, *(() if path.stiffness is None else (path.stiffness,))
+
+    track = kernels.roll_out(field, x0, setting, definition)
+    x, v, tracked = track.reference, track.v, None
+    if track.states is not None:
+        widths = [f.shape[-1] for f in fields]
+        tracked = type(fields)(*torch.split(track.states, widths, -1))
+        x, v = tracked.x, tracked.v[..., 1:, :]
+    inputs = track.reference[..., :-1, :]
+    return Rollout(
+        x=x,
+        v=v,
+        features=track.features,
+        dt=dt,
+        resting=track.resting,
+        stiffness=track.stiffness if Q else None,
+        reference=track.reference,
+        inputs=inputs if shift is None else inputs - shift.unsqueeze(-2),
+        plant=tracked,
+    )
 
 
 class Moment(NamedTuple):

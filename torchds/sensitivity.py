@@ -8,6 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchds import kernels
 from torchds.policy import GMRPolicy
 from torchds.rollouts import Rollout
 
@@ -21,6 +22,8 @@ def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor
         path: its roll-out.
         J: `sensitivity(policy, path)`, since the stiffness depends on where the reference is.
     """
+    if (field := kernels.fusable(policy, path.inputs, J)) is not None:
+        return kernels.stiffness_sensitivity(field, path.inputs, J)
     O = policy.output_dim
     x = path.inputs
     return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ _before(J[..., : policy.input_dim, :])
@@ -43,6 +46,8 @@ def sensitivity(policy: GMRPolicy, path: Rollout) -> Tensor:
         policy: that made the roll-out.
         path: its roll-out.
     """
+    if (field := kernels.fusable(policy, path.inputs)) is not None:
+        return kernels.sensitivity(field, path.inputs, path.resting, path.dt)
     D = policy.input_dim
     x = path.inputs
     eye = torch.eye(D, dtype=x.dtype, device=x.device)

@@ -19,7 +19,8 @@ from torchds.errors import AllRolloutsFailedError
 from torchds.exploration.base import Exploration
 from torchds.optim.base import PolicySearch
 from torchds.plants import Command, Plant
-from torchds.rollouts import Rollout, StopCondition, rollout
+from torchds.rollouts import Rollout, rollout
+from torchds.stops import StopCondition
 
 N = 4  # roll-outs in the checks
 

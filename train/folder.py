@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tasks import Task
-from torchds import GMRPolicy, files, load_policy
+from torchds import GMRPolicy, files, kernels, load_policy
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.locks import one_writer
 from train.options import RunOptions, options_class
@@ -234,11 +234,15 @@ def say_versions(path: Path, written: Mapping[str, str]) -> None:
         print(f"note: {path} was written with {'; '.join(differing)}: last digits may differ", file=sys.stderr)
 
 
-@cache
 def versions() -> dict[str, str]:
-    """Versions of what a result depends on."""
+    """Versions of what a result depends on, and whether roll-outs are fused (`torchds.kernels`)."""
+    return {**_versions(), "roll-outs": "eager" if kernels.wanted("auto") == "eager" else "fused"}
+
+
+@cache
+def _versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
-    for package in ("torchds", "torch", "numpy", "scipy", "scikit-learn", "cma", "cobyqa", "mujoco"):
+    for package in ("torchds", "torch", "numpy", "numba", "scipy", "scikit-learn", "cma", "cobyqa", "mujoco"):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -7,24 +7,11 @@ from torch import Tensor
 
 from tasks.force_fields.base import ARCH_SEARCH, ARCH_VIA_POINTS, ArchTask, Setup, arch
 from torchds import Rollout, costs
+from torchds.forces import DivergentForce
 from torchds.plants import Force
 
 GAIN = 10.0  # N/m
 N_PATH = 400  # points of the nominal path
-
-
-def radial_field(path: Tensor) -> Force:
-    """10 N/m times the vector from the nearest point of `path` `(n, 2)` (Eq. 50, whose scalar gives no direction)."""
-
-    def force(t: float, x: Tensor, v: Tensor) -> Tensor:
-        return GAIN * (x - path[nearest(x, path)])
-
-    return force
-
-
-def nearest(x: Tensor, path: Tensor) -> Tensor:
-    """The index `(...)` of the point of `path` `(n, 2)` nearest to `x` `(..., 2)`."""
-    return (path.square().sum(-1) - 2 * x.detach() @ path.mT).argmin(-1)
 
 
 class DivergentField(ArchTask):
@@ -50,8 +37,8 @@ class DivergentField(ArchTask):
         return arch(torch.linspace(0, 1, N_PATH, dtype=torch.float64))
 
     def force(self) -> Force:
-        """The force that pushes away from the path."""
-        return radial_field(self.nominal())
+        """Away from the nearest point of the path (Eq. 50, whose scalar gives no direction)."""
+        return DivergentForce(self.nominal(), GAIN)
 
     def cost_terms(self, path: Rollout) -> dict[str, Tensor]:
         """Via-points, goal, acceleration and stiffness of Eq. 49."""

@@ -10,6 +10,7 @@ from torch import Tensor
 from tasks.force_fields.base import ARCH_SEARCH, ARCH_VIA_POINTS, ArchTask, Setup
 from tasks.settings import Motion
 from torchds import Rollout, costs
+from torchds.forces import ConstantForce
 from torchds.plants import Force
 
 BORDER, FORCE = -5.0, 10.0  # N upwards where x1 > BORDER
@@ -40,12 +41,7 @@ class HalfPlaneForce(ArchTask):
 
     def force(self) -> Force:
         """No force in the first execution of a policy; in the second one, the force of the half-plane."""
-        present = torch.tensor([[0.0, 0.0], [0.0, FORCE]], dtype=torch.float64)  # (executions, D)
-
-        def force(t: float, x: Tensor, v: Tensor) -> Tensor:
-            return torch.where(x[..., :1] > BORDER, present.to(x), 0.0)
-
-        return force
+        return ConstantForce(torch.tensor([[0.0, 0.0], [0.0, FORCE]], dtype=torch.float64), border=BORDER)
 
     def motion(self) -> Motion:
         """Both executions begin at the same start."""

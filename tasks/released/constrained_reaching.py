@@ -8,9 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tasks.constrained_reaching import ConstrainedReaching, Walls
+from tasks.constrained_reaching import ConstrainedReaching
 from tasks.released.base import RELEASED_SEARCH, Released, released_plant
-from torchds import GMRPolicy, Rollout, plants
+from torchds import GMRPolicy, Rollout, Walls, plants
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command
 

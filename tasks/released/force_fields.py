@@ -9,29 +9,16 @@ import torch
 from torch import Tensor
 
 from tasks.force_fields.base import ArchTask, Setup
-from tasks.force_fields.divergent import GAIN, DivergentField, nearest
+from tasks.force_fields.divergent import GAIN, DivergentField
 from tasks.force_fields.half_plane import HalfPlaneForce
 from tasks.imitation import say_left_out, with_stiffness
 from tasks.released.base import RELEASED_SEARCH, Released
 from torchds import GMRPolicy, Rollout
+from torchds.forces import DivergentForce
 from torchds.plants import Force
 
 VIA_POINTS = ((-7.5, -1.0), (-5.0, 0.0), (-2.5, 1.0), (-1.25, 0.5))
 SEARCH = replace(RELEASED_SEARCH, n_updates=100, control_weight=1e-6, mean_stiffness=10.0)
-
-
-def normal_field(path: Tensor) -> Force:
-    """The same size, but along the normal of the path's segment at the nearest point, pointing away (released)."""
-    tangent = torch.cat([path.diff(dim=0), path[-1:] - path[-2:-1]])
-    normal = torch.stack([-tangent[:, 1], tangent[:, 0]], -1)
-    normal = normal / normal.norm(dim=-1, keepdim=True)
-
-    def force(t: float, x: Tensor, v: Tensor) -> Tensor:
-        index = nearest(x, path)
-        offset, n = x - path[index], normal[index]
-        return GAIN * offset.norm(dim=-1, keepdim=True) * torch.sign((n * offset).sum(-1, keepdim=True)) * n
-
-    return force
 
 
 class ReleasedArch(Released, ArchTask):
@@ -73,7 +60,7 @@ class ReleasedDivergentField(ReleasedArch, DivergentField):
 
     def force(self) -> Force:
         """The force along the normal of the sine path."""
-        return normal_field(self.nominal())
+        return DivergentForce(self.nominal(), GAIN, along_normal=True)
 
 
 class ReleasedHalfPlaneForce(ReleasedArch, HalfPlaneForce):

@@ -12,9 +12,9 @@ ROOT = Path(__file__).parents[2]
 LIBRARY = [
     {"errors"},
     {"archives"},
-    {"visits", "arrays", "em", "files", "findings", "locks"},
+    {"kernels", "visits", "arrays", "em", "files", "findings", "locks"},
     {"preparation", "mending", "policy_file"},
-    {"mixture", "demonstrations", "costs", "stability", "metrics"},
+    {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},
     {"recordings", "parameters", "trainable", "starts"},
     {"policy"},
     {"plants", "cartesian", "saving"},

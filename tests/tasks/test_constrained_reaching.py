@@ -9,7 +9,7 @@ import scipy.stats
 import torch
 
 import tasks
-from tasks.constrained_reaching import Walls
+from torchds import Walls
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Gaussian, Stable, TrajectorySpace
 from torchds.optim import PIBB, ExponentialDecay, InverseIteration

@@ -115,3 +115,17 @@ def test_one_number_for_all_or_one_for_each():
         arrays.per_demonstration("dt", [1, 2], 3, FileError)
     with refuses(InvalidArgumentError, "dt has to be a number [s], or one for each demonstration, got 'fast'"):
         arrays.per_demonstration("dt", "fast", 3)
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [((),), ((5, 1), (3,)), ((), (2, 0), (1, 1)), ((4, 1, 3), (2, 1)), ((2,), (3,)), ((0,), (2,)), ((1, 2), (3, 4))],
+)
+def test_shapes_broadcast_as_those_of_torch(shapes):
+    try:
+        expected = tuple(torch.broadcast_shapes(*shapes))
+    except RuntimeError:
+        with pytest.raises(RuntimeError, match="do not broadcast"):
+            arrays.broadcast_shape(*shapes)
+    else:
+        assert arrays.broadcast_shape(*shapes) == expected

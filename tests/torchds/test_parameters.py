@@ -4,7 +4,7 @@ import torch
 from torch.testing import assert_close
 
 from torchds.errors import InvalidArgumentError
-from torchds.parameters import arrange, broadcast_shape, cat_broadcast
+from torchds.parameters import arrange, cat_broadcast
 
 
 def in_rows(A, b):
@@ -53,5 +53,4 @@ def test_a_vector_of_another_length_is_refused(random_policy):
 def test_leading_dimensions_broadcast_before_they_are_put_side_by_side(randn):
     a, b = randn(5, 2, 3), randn(2, 1)
     assert torch.equal(cat_broadcast([a, b], -1), torch.stack([torch.cat([part, b], -1) for part in a]))
-    assert broadcast_shape((5, 1), (3,)) == (5, 3)
     assert arrange(randn(4, 3, 2, 2), randn(3, 2)).shape == (4, 2, 9)

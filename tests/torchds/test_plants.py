@@ -111,7 +111,7 @@ class Recorder:
 def test_a_plant_is_commanded_with_both_ends_of_every_step(random_policy, randn, batch, points, O, Q):
     policy, plant = random_policy(O=O, Q=Q, batch=batch), Recorder()
     path = rollout(policy, randn(*points, 2), n_steps=5, dt=0.2, plant=plant)
-    bare = rollout(policy, path.reference[(0,) * len(batch)][..., 0, :], n_steps=5, dt=0.2)
+    bare = rollout(policy, path.reference[(0,) * len(batch)][..., 0, :], n_steps=5, dt=0.2, backend="eager")
     assert len(plant.commands) == 5
     for t, command in enumerate(plant.commands):
         assert (command.t, command.dt) == (pytest.approx(0.2 * t), 0.2)
@@ -131,7 +131,7 @@ def test_a_plant_is_commanded_with_both_ends_of_every_step(random_policy, randn,
 def test_a_roll_out_has_the_plant_s_states_beside_the_reference(random_policy, randn, batch, points, Q):
     policy, x0 = random_policy(Q=Q, batch=batch), randn(*points, 2)
     path = rollout(policy, x0, n_steps=5, dt=0.2, plant=Recorder())
-    bare = rollout(policy, x0, n_steps=5, dt=0.2)
+    bare = rollout(policy, x0, n_steps=5, dt=0.2, backend="eager")
     lead = (*batch, *points)
     assert torch.equal(path.reference, bare.x)  # the policy never sees the plant
     assert torch.equal(path.features, bare.features)

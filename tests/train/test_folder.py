@@ -8,7 +8,7 @@ import torch
 
 import tasks
 from torchds.errors import InvalidArgumentError
-from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, versions
+from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, say_versions, versions
 from train.learning.history import History, results
 from train.options import options_for
 
@@ -97,3 +97,11 @@ def test_what_is_missing_is_named_with_the_option_that_asked_for_it(tmp_path):
 def test_versions_name_what_results_depend_on():
     assert {"python", "machine", "torchds", "torch", "numpy"} <= set(versions())
     assert versions()["torch"] == torch.__version__.split("+")[0] or versions()["torch"] == torch.__version__
+
+
+def test_a_checkpoint_of_another_backend_is_said(monkeypatch, capsys):
+    monkeypatch.setenv("TORCHDS_BACKEND", "eager")
+    say_versions(Path("a.pt"), versions())
+    assert not capsys.readouterr().err
+    say_versions(Path("a.pt"), {**versions(), "roll-outs": "fused"})
+    assert "a.pt was written with roll-outs fused, here eager: last digits may differ" in capsys.readouterr().err

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from torchds.arrays import broadcast_shape
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.exploration.homogeneous import chi_mean
 from torchds.exploration.shares import motion_size
-from torchds.parameters import broadcast_shape
 from torchds.policy import GMRPolicy
 
 

@@ -1,0 +1,85 @@
+"""External forces on a plant. A force is any function of time, position and velocity; here, two.
+
+Stability: stable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchds.kernels.steps import AWAY, AWAY_ALONG_NORMAL, BEYOND, CONSTANT, ScalarStep
+
+
+@dataclass(frozen=True)
+class ConstantForce:
+    """The same force everywhere, or beyond a border only.
+
+    Args:
+        force: `(D,)`, `(*points, D)` or `(*batch, *points, D)` [N].
+        border: it acts where the coordinate `axis` of the position is larger than this; None for everywhere.
+        axis: of the border.
+    """
+
+    force: Tensor
+    border: float | None = None
+    axis: int = 0
+
+    def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
+        """The force at positions `x` `(..., D)`."""
+        force = self.force.to(x)
+        return force if self.border is None else torch.where(x[..., self.axis, None] > self.border, force, 0.0)
+
+    def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
+        """The same for compiled code."""
+        if type(self) is not ConstantForce:
+            return None
+        if self.border is None:
+            return ScalarStep(CONSTANT, self.force)
+        where = self.force.new_tensor([self.border, self.axis % n_axes]).expand(*self.force.shape[:-1], 2)
+        return ScalarStep(BEYOND, torch.cat([where, self.force], -1))
+
+
+class DivergentForce:
+    """A force away from the nearest point of a path, as large as the distance from it times a gain.
+
+    Args:
+        path: `(n, D)` points of the path.
+        gain: [N/m].
+        along_normal: whether it points along the normal of the path's segment at the nearest point, to the side where the
+            position is, rather than straight away from that point; in the plane.
+    """
+
+    def __init__(self, path: Tensor, gain: float, *, along_normal: bool = False) -> None:
+        self.path, self.gain, self.along_normal = path, gain, along_normal
+        self.normal = torch.zeros_like(path)  # (n, D)
+        if along_normal:
+            tangent = torch.cat([path.diff(dim=0), path[-1:] - path[-2:-1]])
+            normal = torch.stack([-tangent[:, 1], tangent[:, 0]], -1)
+            self.normal = normal / normal.norm(dim=-1, keepdim=True)
+
+    def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
+        """The force at positions `x` `(..., D)`."""
+        path = self.path.to(x)
+        nearest = (path.square().sum(-1) - 2 * x.detach() @ path.mT).argmin(-1)
+        offset = x - path[nearest]
+        if not self.along_normal:
+            return self.gain * offset
+        n = self.normal.to(x)[nearest]
+        distance = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
+        force: Tensor = self.gain * distance * torch.sign((n * offset).sum(-1, keepdim=True)) * n
+        return force
+
+    def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
+        """The same for compiled code."""
+        if type(self) is not DivergentForce:
+            return None
+        parts = [
+            self.path.new_tensor([self.gain]),
+            self.path.flatten(),
+            self.path.square().sum(-1),
+            self.normal.flatten(),
+        ]
+        return ScalarStep(AWAY_ALONG_NORMAL if self.along_normal else AWAY, torch.cat(parts))

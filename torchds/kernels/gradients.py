@@ -1,0 +1,186 @@
+"""The adjoint of a roll-out, its Jacobians and its control cost on the CPU, compiled by numba; see `torchds.kernels.cpu`.
+
+Stability: experimental.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from torchds.kernels.compiling import piece
+from torchds.kernels.gating import activate, whitened
+
+
+def adjoint(
+    first, last, axes, experts, n_points, dt, rows, center, factors, offset, log_scale, limit,
+    inputs, features, resting, on_x, on_v, on_features, on_stiffness, on_rows, on_start,
+):  # fmt: skip
+    """The gradients with respect to rows and starts, from those with respect to all that a roll-out writes.
+
+    With λ_t the gradient that reaches x_t, from the end to the start,
+
+        λ_t = ∂/∂x_t + λ_{t+1} + (∂g/∂x)ᵀ (∂/∂g + Rᵀ y),   y = [∂/∂v + dt λ_{t+1}; ∂/∂s],   ∂/∂R += y gᵀ,
+
+    and with g = h_k [x, 1] and q_k = (∂/∂g)_k · [x, 1]
+
+        (∂g/∂x)ᵀ ∂/∂g = Σ_k h_k ((∂/∂g)_k + (q_k − Σ_j h_j q_j) σ_k),   σ_k = −Σ_k⁻¹ (x − μ_k).
+    """
+    D, K, N, n_velocities, n_steps = len(axes), len(experts), rows.shape[1], on_v.shape[2], on_v.shape[1]
+    F = K * (D + 1)
+    h, q, u, y, back = np.empty(K), np.empty(K), np.empty(F), np.empty(N), np.empty(D)
+    for i in range(first, last):
+        policy = i // n_points
+        gate, R, on_R, along = policy % len(log_scale), rows[policy], on_rows[i], on_start[i]
+        c, W, off, scales = center[gate], factors[gate], offset[gate], log_scale[gate]
+        on_R[:] = 0.0
+        for d in range(D):
+            along[d] = on_x[i, n_steps, d]
+        for t in range(n_steps - 1, -1, -1):
+            seen, g = inputs[i, t], features[i, t]
+            activate(axes, experts, seen, c, W, off, scales, limit, h)
+            moves = resting.size == 0 or not resting[i, t]
+            for o in range(N):
+                if o >= n_velocities:
+                    y[o] = on_stiffness[i, t, o - n_velocities]
+                elif not moves:
+                    y[o] = 0.0
+                else:
+                    y[o] = on_v[i, t, o] + (dt * along[o] if o < D else 0.0)
+            for f in range(F):
+                u[f] = on_features[i, t, f]
+            for o in range(N):
+                for f in range(F):
+                    u[f] += R[o, f] * y[o]
+                    on_R[o, f] += y[o] * g[f]
+            mean = 0.0
+            for k in range(K):
+                q[k] = u[k * (D + 1) + D]
+                for d in range(D):
+                    q[k] += u[k * (D + 1) + d] * seen[d]
+                mean += h[k] * q[k]
+            for d in range(D):
+                back[d] = on_x[i, t, d] + along[d]
+            for k in range(K):
+                for d in range(D):
+                    back[d] += h[k] * u[k * (D + 1) + d]
+                for j in range(D):
+                    z = whitened(axes, k, j, seen, c, W, off, limit)
+                    if abs(z) < limit:
+                        for d in range(D):
+                            if abs(seen[d] - c[d]) < limit:
+                                back[d] -= h[k] * (q[k] - mean) * W[k, j, d] * z
+            for d in range(D):
+                along[d] = back[d]
+
+
+@piece
+def linearise(axes, experts, x, R, center, factors, offset, limit, h, slope):
+    """Write ∂[ẋ; s]/∂x = Σ_k h_k (A_k + (y_k − Σ_j h_j y_j) σ_kᵀ) to `slope`, with y_k = A_k x + b_k (`GMRPolicy.jacobian`)."""
+    D, K = len(axes), len(experts)
+    for o in range(len(slope)):
+        mean = 0.0
+        for d in range(D):
+            slope[o, d] = 0.0
+        for k in range(K):
+            y = R[o, k * (D + 1) + D]
+            for d in range(D):
+                y += R[o, k * (D + 1) + d] * x[d]
+                slope[o, d] += h[k] * R[o, k * (D + 1) + d]
+            mean += h[k] * y
+        for k in range(K):
+            y = R[o, k * (D + 1) + D]
+            for d in range(D):
+                y += R[o, k * (D + 1) + d] * x[d]
+            for j in range(D):
+                z = whitened(axes, k, j, x, center, factors, offset, limit)
+                for d in range(D):
+                    slope[o, d] -= h[k] * (y - mean) * factors[k, j, d] * z
+
+
+def sensitivities(
+    first, last, axes, experts, n_points, dt, rows, center, factors, offset, log_scale, limit, inputs, resting, motion,
+):  # fmt: skip
+    """The Jacobian of the reference (.., T, O, P): J_{t+1} = (I + dt ∂f/∂x) J_t + dt G, as `torchds.sensitivity` has it."""
+    D, K, N, n_steps = len(axes), len(experts), rows.shape[1], inputs.shape[1]
+    O, E = motion.shape[2], N * (D + 1)  # E parameters of a component: all slopes, then all offsets
+    h, slope, J = np.empty(K), np.empty((N, D)), np.empty((D, K * E))
+    for i in range(first, last):
+        policy = i // n_points
+        gate = policy % len(log_scale)
+        c, W, off, scales = center[gate], factors[gate], offset[gate], log_scale[gate]
+        J[:] = 0.0
+        for t in range(n_steps):
+            x = inputs[i, t]
+            activate(axes, experts, x, c, W, off, scales, limit, h)
+            linearise(axes, experts, x, rows[policy], c, W, off, limit, h, slope)
+            moves = resting.size == 0 or not resting[i, t]
+            for o in range(O):
+                row = motion[i, t, o]
+                for p in range(K * E):
+                    row[p] = 0.0 if t == 0 else motion[i, t - 1, o, p]
+                if moves:
+                    for d in range(D):
+                        a = dt * slope[o, d]
+                        for p in range(K * E):
+                            row[p] += a * J[d, p]
+                    for k in range(K):
+                        for d in range(D):
+                            row[k * E + o * D + d] += dt * h[k] * x[d]
+                        row[k * E + N * D + o] += dt * h[k]
+            for d in range(D):
+                for p in range(K * E):
+                    J[d, p] = motion[i, t, d, p]
+
+
+def stiffness_sensitivities(
+    first, last, axes, experts, n_points, rows, center, factors, offset, log_scale, limit, inputs, motion, stiffness,
+):  # fmt: skip
+    """The Jacobian of the stiffness outputs (.., T, Q, P) from that of the reference, `torchds.stiffness_sensitivity`."""
+    D, K, N, n_steps = len(axes), len(experts), rows.shape[1], inputs.shape[1]
+    E, Q = N * (D + 1), stiffness.shape[2]
+    h, slope = np.empty(K), np.empty((N, D))
+    for i in range(first, last):
+        policy = i // n_points
+        gate = policy % len(log_scale)
+        c, W, off, scales = center[gate], factors[gate], offset[gate], log_scale[gate]
+        for t in range(n_steps):
+            x = inputs[i, t]
+            activate(axes, experts, x, c, W, off, scales, limit, h)
+            linearise(axes, experts, x, rows[policy], c, W, off, limit, h, slope)
+            for q in range(Q):
+                row, o = stiffness[i, t, q], N - Q + q
+                for p in range(K * E):
+                    row[p] = 0.0
+                if t > 0:
+                    for d in range(D):
+                        for p in range(K * E):
+                            row[p] += slope[o, d] * motion[i, t - 1, d, p]
+                for k in range(K):
+                    for d in range(D):
+                        row[k * E + o * D + d] += h[k] * x[d]
+                    row[k * E + N * D + o] += h[k]
+
+
+def control(first, last, deviation, noise, weight, features, upsilon):
+    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`."""
+    n_steps, F = features.shape[1], features.shape[2]
+    drifts, pushes, inverse = np.empty(F), np.empty(F), np.empty(F)
+    for i in range(first, last):
+        for t in range(n_steps):
+            upsilon[i, t] = 0.0
+        for o in range(deviation.shape[1]):
+            constant = 0.0
+            for f in range(F):
+                r, a = weight[i, o, f], deviation[i, o, f]
+                constant += r * (a * a)
+                inverse[f] = 1.0 / r if r > 0 else 0.0
+                drifts[f] = a if r > 0 else 0.0
+                pushes[f] = noise[i, o, f] if r > 0 else 0.0
+            for t in range(n_steps):
+                drift, push, size = 0.0, 0.0, 0.0
+                for f in range(F):
+                    g = features[i, t, f]
+                    drift += drifts[f] * g
+                    push += pushes[f] * g
+                    size += inverse[f] * (g * g)
+                upsilon[i, t] += constant + ((2.0 * drift + push) * push / size if size > 0 else 0.0)
