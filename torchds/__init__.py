@@ -38,6 +38,7 @@ from torchds import impedance as impedance
 from torchds import metrics as metrics
 from torchds import optim as optim
 from torchds import plants as plants
+from torchds import poses as poses
 from torchds import stability as stability
 from torchds import visits as visits
 from torchds.demonstrations import Demonstration as Demonstration
@@ -89,6 +90,7 @@ __all__ = [
     "most_wanted",
     "optim",
     "plants",
+    "poses",
     "recruit",
     "rollout",
     "stability",

@@ -268,7 +268,8 @@ def _quaternion(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
                 None,
                 error,
                 what,
-                "load(..., positions=) without them, or scipy.spatial.transform.Rotation.from_quat(...).as_rotvec()",
+                f"torchds.poses.from_poses(position, [d.x[:, {first}:{first + 4}] for d in demos], dt=demos.dt), with "
+                "order='xyzw' where the scalar stands last; or load(..., positions=) without them",
             )
             return
 

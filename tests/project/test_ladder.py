@@ -15,7 +15,7 @@ LIBRARY = [
     {"kernels", "visits", "arrays", "em", "files", "findings", "locks"},
     {"preparation", "mending", "policy_file"},
     {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},
-    {"recordings", "parameters", "trainable", "starts"},
+    {"recordings", "poses", "parameters", "trainable", "starts"},
     {"policy"},
     {"plants", "cartesian", "saving"},
     {"impedance", "rollouts"},

@@ -97,7 +97,7 @@ def test_a_unit_quaternion_among_the_columns_is_recognised():
     q = torch.stack([torch.sin(angle / 2), zero, zero, torch.cos(angle / 2)], -1)
     x = torch.cat([torch.stack([angle, angle**2, angle**3], -1), q], -1)
     finding = only(named(Recording(x, None, DT), names=["x", "y", "z", "qx", "qy", "qz", "qw"]), "unit quaternion")
-    assert "qx, qy, qz, qw" in finding.message and "as_rotvec" in finding.call
+    assert "qx, qy, qz, qw" in finding.message and "torchds.poses.from_poses(position, [d.x[:, 3:7]" in finding.call
 
 
 def test_motions_that_end_apart_are_asked_for_one_goal():

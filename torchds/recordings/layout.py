@@ -128,7 +128,7 @@ def _positions(
         raise FileError(
             f"{path}: the columns {listed} are a quaternion, on whose sphere no linear system stays; pass positions={place!r} "
             f"for the place alone, or positions={(*place, *(header[i] for i in quaternion))!r} and make a rotation vector of "
-            "the last four by scipy.spatial.transform.Rotation.from_quat(...).as_rotvec()"
+            "the last four by torchds.poses.from_poses(...)"
         )
     keys = {free[i].key for i in x}
     stray = [i for i in of("stiffness") if not _is_stiffness(free[i], keys)]

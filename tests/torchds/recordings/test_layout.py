@@ -80,7 +80,7 @@ def test_forces_and_accelerations_are_left_out_aloud(file):
 def test_a_quaternion_is_recognised(file):
     half = 0.05 * COUNT
     path = file(table("time,x,y,z,qx,qy,qz,qw", TIMES, *X.T, 0 * half, 0 * half, 0 * half, np.sin(half), np.cos(half)))
-    with refuses(FileError, "qx, qy, qz, qw are a quaternion", "positions=('x', 'y', 'z')", "Rotation.from_quat"):
+    with refuses(FileError, "qx, qy, qz, qw are a quaternion", "positions=('x', 'y', 'z')", "torchds.poses.from_poses"):
         load(path)
     assert load(path, positions=("x", "y", "z")).names == ("x", "y", "z")
     with pytest.warns(DemonstrationWarning, match="unit quaternion"):
