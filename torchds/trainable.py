@@ -33,6 +33,8 @@ class TrainableMixture(nn.Module):
 
     mask: Tensor
     fixed_P: Tensor | None
+    pairs: Tensor
+    halves: Tensor
 
     def __init__(
         self,
@@ -49,8 +51,13 @@ class TrainableMixture(nn.Module):
         self.margin, self.learn_metric = margin, learn_metric
         ridge = floor * torch.eye(D, dtype=A.dtype, device=A.device)
         noise = start.covariances[..., D:, D:] - start.experts(D)[0] @ start.covariances[..., :D, D:]
+        self.stable = P is not None
+        self.euclidean = P is not None and not learn_metric and torch.equal(P, torch.eye(D).to(P).expand_as(P))
         self.register_buffer("mask", start.priors > 0)
         self.register_buffer("fixed_P", None if learn_metric else P)
+        i, j = torch.triu_indices(D, D, device=A.device)
+        self.register_buffer("pairs", torch.stack([i, j, D * i + j]), persistent=False)
+        self.register_buffer("halves", torch.where(i == j, -0.5, -1.0).to(A), persistent=False)
         self.log_prior = nn.Parameter(start.priors.log().clamp(min=PADDING))
         self.mean = nn.Parameter(start.means[..., :D].clone())
         self.precision = nn.Parameter(_log_diagonal(_precision_root(start.covariances[..., :D, :D] + ridge)))
@@ -76,9 +83,14 @@ class TrainableMixture(nn.Module):
     @property
     def A(self) -> Tensor:
         """`(B, K, D, D)` slopes."""
-        if (P := self.P) is None:
-            return self.slopes
-        return stable_matrices(self.factor, self.skew, P.unsqueeze(-3), margin=self.margin)
+        if self.stable:
+            return stable_matrices(self.factor, self.skew, self._metric_of_slopes(), margin=self.margin)
+        return self.slopes
+
+    def _metric_of_slopes(self) -> Tensor | None:
+        """P for each component; None for P = I, with which everything is the same and cheaper."""
+        P = None if self.euclidean else self.P
+        return None if P is None else P.unsqueeze(-3)
 
     @property
     def priors(self) -> Tensor:
@@ -99,15 +111,16 @@ class TrainableMixture(nn.Module):
         precision = root.mT @ root
         linear = (precision @ self.mean.unsqueeze(-1)).squeeze(-1)
         constant = self.log_prior + _log_det(self.precision) - 0.5 * (self.mean * linear).sum(-1)
-        i, j = torch.triu_indices(x.shape[-1], x.shape[-1], device=x.device)
-        square = precision[..., i, j] * torch.where(i == j, -0.5, -1.0).to(precision)
+        i, j, entry = self.pairs
+        square = precision.flatten(-2).index_select(-1, entry) * self.halves
         features = torch.cat([x[..., i] * x[..., j], x, torch.ones_like(x[..., :1])], -1)
         coefficients = torch.cat([square, linear, constant.unsqueeze(-1)], -1)  # (B, K, D (D+3) / 2 + 1)
         return (features @ coefficients.mT).masked_fill(~self.mask.unsqueeze(-2), PADDING)
 
     def forward(self, x: Tensor) -> Tensor:
         """The velocity `(B, N, D)` at `x` `(B, N, D)`."""
-        slope = torch.unflatten(self.log_weights(x).softmax(-1) @ self.A.flatten(-2), -1, self.A.shape[-2:])
+        A = self.A
+        slope = torch.unflatten(self.log_weights(x).softmax(-1) @ A.flatten(-2), -1, A.shape[-2:])
         return (slope * x.unsqueeze(-2)).sum(-1)
 
     def log_likelihood(self, x: Tensor, v: Tensor) -> Tensor:
@@ -120,9 +133,9 @@ class TrainableMixture(nn.Module):
 
     def slowness(self, rate: float) -> Tensor:
         """The squared shortfall of the guaranteed rates below `rate`, mean over components, `(B,)`."""
-        if (P := self.P) is None:
+        if not self.stable:
             return self.slopes.new_zeros(len(self.slopes))
-        shortfall = (rate + largest_eigenvalue(self.A, P.unsqueeze(-3))).clamp(min=0)
+        shortfall = (rate + largest_eigenvalue(self.A, self._metric_of_slopes())).clamp(min=0)
         return (shortfall.square() * self.mask).sum(-1) / self.mask.sum(-1)
 
 
