@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -86,6 +86,52 @@ def like(name: str, value: Array, reference: Tensor) -> Tensor:
             f"{name} has to be a tensor or an array of real numbers, got {shown(value)}; give torch.as_tensor(...)"
         )
     return value.to(reference.device, reference.dtype)
+
+
+def real(name: str, value: Array, axes: str = "(...)") -> Tensor:
+    """What a user gave as tensor: floating point tensors as they are, float32 arrays as such, all else as float64.
+
+    Args:
+        name: of the argument.
+        value: that was given.
+        axes: that it has to have, as in "(..., T, D)"; those behind the dots count.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers, or one with fewer axes.
+    """
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        single = isinstance(value, np.ndarray) and value.dtype == np.float32
+        device = value.device if isinstance(value, Tensor) else None
+        value = like(name, value, torch.empty(0, dtype=torch.float32 if single else torch.float64, device=device))
+    if value.ndim < sum(axis not in ("...", "") and axis[0] != "*" for axis in axes.strip("()").split(", ")):
+        raise InvalidArgumentError(f"{name} has to be {axes}, got shape {tuple(value.shape)}")
+    return value
+
+
+def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1) -> Tensor:
+    """What a user gave as tensor `like` another that it broadcasts with.
+
+    Args:
+        name: of the argument.
+        value: that was given.
+        reference: the other one.
+        axes: of the value, in words.
+        last: how many of the last axes have to be of equal size.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers, or one that does not fit.
+    """
+    value = like(name, value, reference)
+    try:
+        fits = value.shape[value.ndim - last :] == reference.shape[reference.ndim - last :] and value.ndim >= last
+        broadcast_shape(value.shape, reference.shape)
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise InvalidArgumentError(
+            f"{name} has to be {axes} and fit {tuple(reference.shape)}, got shape {tuple(value.shape)}"
+        )
+    return value
 
 
 def without_autocast(x: Tensor) -> AbstractContextManager[Any]:
@@ -202,17 +248,19 @@ def per_demonstration(
     return steps * n if len(steps) == 1 else steps
 
 
-def of_one_dtype(given: Mapping[str, Any], finite: Sequence[str] = ()) -> Any:
-    """Arrays by name as tensors of the widest dtype among them; None stays None.
+def of_one_dtype(given: Mapping[str, Any], *, optional: Collection[str] = (), finite: Collection[str] = ()) -> Any:
+    """Arrays by name as tensors of the widest dtype among the tensors, float64 where there is none.
 
     Raises:
-        InvalidArgumentError: no array of real numbers, or one of those in `finite` that is not.
+        InvalidArgumentError: no array of real numbers, None for one that is not `optional`, or one of those in `finite` that is
+            not.
     """
     kinds = [value.dtype for value in given.values() if isinstance(value, Tensor) and value.is_floating_point()]
-    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
+    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.float64
     device = next((value.device for value in given.values() if isinstance(value, Tensor)), torch.device("cpu"))
     reference = torch.empty(0, dtype=dtype, device=device)
-    tensors = {name: None if value is None else like(name, value, reference) for name, value in given.items()}
+    left_out = {name for name, value in given.items() if value is None and name in optional}
+    tensors = {name: None if name in left_out else like(name, value, reference) for name, value in given.items()}
     for name in finite:
         value = tensors[name]
         if value is not None and not value.isfinite().all():

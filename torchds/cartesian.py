@@ -5,12 +5,12 @@ Stability: stable.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, beside, like
 from torchds.errors import InvalidArgumentError
 
 
@@ -103,7 +103,7 @@ class CartesianImpedance:
     def __init__(
         self,
         chain: Chain,
-        posture: Tensor | Sequence[float],
+        posture: Array,
         *,
         plane: Literal["xy", "yz", "xz"] = "xz",
         offset: float = 0.0,
@@ -112,7 +112,7 @@ class CartesianImpedance:
         damping_ratio: float = 1.0,
         posture_stiffness: float = 5.0,
         posture_damping: float = 2.0,
-        torque_limit: Tensor | Sequence[float] | None = None,
+        torque_limit: Array | None = None,
     ) -> None:
         if plane not in _PLANES:
             raise InvalidArgumentError(f"plane has to be 'xy', 'yz' or 'xz', got {plane!r}")
@@ -123,14 +123,15 @@ class CartesianImpedance:
             if not gain >= 0:
                 raise InvalidArgumentError(f"{name} has to be ≥ 0, got {gain}")
         self.chain = chain
-        self.posture = torch.as_tensor(posture, dtype=chain.dtype)
+        unit = torch.empty(0, dtype=chain.dtype)
+        self.posture = like("posture", posture, unit)
         n_joints = chain.jacobian(self.posture.reshape(1, -1), ret_eef_pose=True)[0].shape[-1]
         if self.posture.shape != (n_joints,):
             raise InvalidArgumentError(
                 f"posture has to be ({n_joints},), one angle for each joint, got {tuple(self.posture.shape)}"
             )
         self.n_joints = n_joints
-        self.torque_limit = None if torque_limit is None else torch.as_tensor(torque_limit, dtype=chain.dtype)
+        self.torque_limit = None if torque_limit is None else like("torque_limit", torque_limit, unit)
         if self.torque_limit is not None and (
             self.torque_limit.shape != (n_joints,) or not (self.torque_limit > 0).all()
         ):
@@ -154,7 +155,7 @@ class CartesianImpedance:
         self._directions[2, 3 + normal] = sign
 
     def __call__(
-        self, q: Tensor, v: Tensor, mass: Tensor, bias: Tensor, reference: PlaneReference, stiffness: Tensor | float
+        self, q: Array, v: Array, mass: Array, bias: Array, reference: PlaneReference, stiffness: Array | float
     ) -> CartesianControl:
         """The torques in a state of the arm, for any number of arms at once.
 
@@ -169,15 +170,11 @@ class CartesianImpedance:
         Raises:
             InvalidArgumentError: another dtype than the chain's, shapes that do not agree, negative stiffness.
         """
+        q = self._state_of("q", q)
         batch, n = q.shape[:-1], self.n_joints
-        shapes = {"q": (q, (n,)), "v": (v, (n,)), "mass": (mass, (n, n)), "bias": (bias, (n,))}
-        for name, (value, shape) in shapes.items():
-            if value.shape != (*batch, *shape) or value.dtype != self.chain.dtype:
-                raise InvalidArgumentError(
-                    f"{name} has to be {(*batch, *shape)} in {self.chain.dtype}, as the chain is, got "
-                    f"{tuple(value.shape)} in {value.dtype}"
-                )
-        s = torch.as_tensor(stiffness, dtype=q.dtype, device=q.device)
+        q, v = self._state_of("q", q, (*batch, n)), self._state_of("v", v, (*batch, n))
+        mass, bias = self._state_of("mass", mass, (*batch, n, n)), self._state_of("bias", bias, (*batch, n))
+        s = beside("stiffness", stiffness, q[..., 0], "a number or (...)", last=0)
         if not (s >= 0).all():
             raise InvalidArgumentError(f"stiffness has to be ≥ 0, got {s.min().item()}; clamp the policy's before")
         s = s.expand(batch)
@@ -209,6 +206,17 @@ class CartesianImpedance:
         torque = wanted if limit is None else wanted.clamp(-limit.to(q.device), limit.to(q.device))
         x, angle = self._state(pose)
         return CartesianControl(torque, x, angle, e, torque != wanted, nullspace)
+
+    def _state_of(self, name: str, value: Array, shape: tuple[int, ...] | None = None) -> Tensor:
+        """A quantity of the arm in the dtype of its chain; tensors have to have it already."""
+        if not isinstance(value, Tensor):
+            value = like(name, value, torch.empty(0, dtype=self.chain.dtype))
+        if value.dtype != self.chain.dtype or (value.ndim < 1 if shape is None else value.shape != shape):
+            raise InvalidArgumentError(
+                f"{name} has to be {shape or '(..., J)'} in {self.chain.dtype}, as the chain is, got "
+                f"{tuple(value.shape)} in {value.dtype}"
+            )
+        return value
 
     # ------------------------------------------------------------------ the plane
 

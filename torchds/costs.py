@@ -5,14 +5,18 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import kernels
+from torchds.arrays import Array, beside, number, real
+from torchds.errors import InvalidArgumentError
 
 
-def via_points(x: Tensor, points: Tensor) -> Tensor:
+def via_points(x: Array, points: Array) -> Tensor:
     """Σ_l min_{j ≥ 1} |x_l^via − x_j|², the via-point term of Eq. 39.
 
     Args:
@@ -21,38 +25,45 @@ def via_points(x: Tensor, points: Tensor) -> Tensor:
 
     Returns:
         `(...)`.
+
+    Raises:
+        InvalidArgumentError: no arrays of numbers, or shapes that do not fit.
     """
-    return (x[..., 1:, None, :] - points).square().sum(-1).amin(-2).sum(-1)
+    x = _moving("x", x)[..., 1:, None, :]
+    points = beside("points", points, x, "(L, D)")
+    return (x - points).square().sum(-1).amin(-2).sum(-1)
 
 
-def goal(x: Tensor, target: Tensor) -> Tensor:
+def goal(x: Array, target: Array) -> Tensor:
     """|x^goal − x_T|², the goal term of Eq. 39, `(...)` for `x` `(..., T+1, D)` and `target` `(D,)`."""
-    return (x[..., -1, :] - target).square().sum(-1)
+    end = _moving("x", x)[..., -1, :]
+    return (end - beside("target", target, end, "(D,)")).square().sum(-1)
 
 
-def acceleration_steps(v: Tensor) -> Tensor:
+def acceleration_steps(v: Array) -> Tensor:
     """|v_j − v_{j−1}| of every step `(..., T)` for `v` `(..., T, O)`, zero in the first; not divided by dt (Eq. 39)."""
+    v = real("v", v, "(..., T, O)")
     return F.pad(torch.linalg.vector_norm(v.diff(dim=-2), dim=-1), (1, 0))
 
 
-def acceleration(v: Tensor) -> Tensor:
+def acceleration(v: Array) -> Tensor:
     """Σ_j |v_j − v_{j−1}|, `(...)` for `v` `(..., T, O)`: the running cost of Eq. 39."""
     return acceleration_steps(v).sum(-1)
 
 
-def path_length(v: Tensor, dt: float) -> Tensor:
+def path_length(v: Array, dt: float) -> Tensor:
     """Σ_j |v_j| dt, `(...)` for `v` `(..., T, O)` (Eq. 41)."""
-    speed: Tensor = torch.linalg.vector_norm(v, dim=-1)
-    return speed.sum(-1) * dt
+    speed: Tensor = torch.linalg.vector_norm(real("v", v, "(..., T, O)"), dim=-1)
+    return speed.sum(-1) * number("dt", dt, "positive and finite", lambda step: 0 < step < math.inf)
 
 
-def stiffness(s: Tensor) -> Tensor:
+def stiffness(s: Array) -> Tensor:
     """Σ_j |s_j|, `(...)` for the stiffness `s` `(..., T, D)` applied to each axis [N/m] (Eq. 49)."""
-    size: Tensor = torch.linalg.vector_norm(s, dim=-1)
+    size: Tensor = torch.linalg.vector_norm(real("s", s, "(..., T, D)"), dim=-1)
     return size.sum(-1)
 
 
-def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: float | Tensor) -> Tensor:
+def control_cost(deviation: Array, noise: Array, features: Array, weight: float | Array) -> Tensor:
     r"""Υ_t = (θ* + M_t ε)ᵀ R (θ* + M_t ε) of Algorithm 1, lines 15-16, without a P×P matrix.
 
     With R diagonal and G = [gᵀ ⊗ I], M projects each output row of ε on its features g, hence per row
@@ -71,15 +82,28 @@ def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: flo
     Returns:
         `(*batch, *points, T)`; the cost of a roll-out is ½ Σ_t Υ_t.
     """
-    weight = torch.as_tensor(weight, dtype=features.dtype, device=features.device).expand(deviation.shape)
-    for _ in range(features.ndim - deviation.ndim):  # an axis for each of the points
-        deviation, noise, weight = (rows.unsqueeze(-3) for rows in (deviation, noise, weight))
-    if kernels.fits(deviation, noise, features, weight):
-        return kernels.control_cost(deviation, noise, features, weight)
-    controlled = weight > 0
-    inverse = torch.where(controlled, 1.0 / weight, 0.0)
-    drift = torch.where(controlled, deviation, 0.0) @ features.mT  # (*batch, O, T): θ*·g
-    push = torch.where(controlled, noise, 0.0) @ features.mT  # ε·g
-    size = inverse @ features.square().mT  # gᵀR⁻¹g
+    g = real("features", features, "(*batch, *points, T, F)")
+    theta = beside("deviation", deviation, g.new_empty(1, g.shape[-1]), "(*batch, O, F)")
+    epsilon = beside("noise", noise, theta, "(*batch, O, F)", last=2)
+    R: Tensor = beside("weight", weight, theta, "a number or (*batch, O, F)", last=0)
+    R, theta = torch.broadcast_tensors(R, theta)  # type: ignore[no-untyped-call]
+    for _ in range(g.ndim - theta.ndim):  # an axis for each of the points
+        theta, epsilon, R = theta.unsqueeze(-3), epsilon.unsqueeze(-3), R.unsqueeze(-3)
+    if kernels.fits(theta, epsilon, g, R):
+        return kernels.control_cost(theta, epsilon, g, R)
+    controlled = R > 0
+    inverse = torch.where(controlled, 1.0 / R, 0.0)
+    drift = torch.where(controlled, theta, 0.0) @ g.mT  # (*batch, O, T): θ*·g
+    push = torch.where(controlled, epsilon, 0.0) @ g.mT  # ε·g
+    size = inverse @ g.square().mT  # gᵀR⁻¹g
     moved = torch.where(size > 0, (2 * drift + push) * push / size, 0.0)
-    return ((weight * deviation.square()).sum(-1, keepdim=True) + moved).sum(-2)
+    upsilon: Tensor = ((R * theta.square()).sum(-1, keepdim=True) + moved).sum(-2)
+    return upsilon
+
+
+def _moving(name: str, x: Array) -> Tensor:
+    """States `(..., T+1, D)` with at least one step."""
+    x = real(name, x, "(..., T+1, D)")
+    if x.shape[-2] < 2:
+        raise InvalidArgumentError(f"{name} has to be (..., T+1, D) with T ≥ 1, got shape {tuple(x.shape)}")
+    return x

@@ -9,6 +9,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -16,6 +17,7 @@ from typing import Literal, NamedTuple, get_args
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, count, number
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.mixture import GaussianMixture
@@ -67,7 +69,7 @@ def fit_stable(
     objective: Objective = "velocity",
     *,
     margin: float = 0.03,
-    goal: Tensor | None = None,
+    goal: Array | None = None,
     start: GaussianMixture | None = None,
     seed: int | Sequence[int] = 0,
     spread: float = 0.1,
@@ -113,13 +115,10 @@ def fit_stable(
     for kind, name, known in (("condition", condition, Condition), ("objective", objective, Objective)):
         if name not in get_args(known):
             raise UnknownNameError(kind, name, get_args(known))
-    if not 0 < margin < float("inf"):
-        raise InvalidArgumentError(f"margin has to be above 0 and finite, got {margin}")
+    margin = number("margin", margin, "above 0 and finite", lambda n: 0 < n < math.inf)
     for option, value in {"spread": spread, "direction": direction, "lr": lr}.items():
-        if not 0 <= value < float("inf"):
-            raise InvalidArgumentError(f"{option} has to be finite and ≥ 0, got {value}")
-    if n_steps < 10:
-        raise InvalidArgumentError(f"n_steps has to be at least 10, got {n_steps}")
+        number(option, value, "finite and ≥ 0", lambda n: 0 <= n < math.inf)
+    n_steps = count("n_steps", n_steps, 10)
     for motion in sequence(demos):
         motion.check().warn(stacklevel=4)  # past the decorator
     samples = Samples.of(sequence(demos), goal)

@@ -5,11 +5,14 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, number, real
+from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import AWAY, AWAY_ALONG_NORMAL, BEYOND, CONSTANT, ScalarStep
 
 
@@ -27,6 +30,9 @@ class ConstantForce:
     border: float | None = None
     axis: int = 0
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", real("force", self.force, "(*batch, *points, D)"))
+
     def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
         """The force at positions `x` `(..., D)`."""
         force = self.force.to(x)
@@ -36,6 +42,7 @@ class ConstantForce:
         """The same for compiled code."""
         if type(self) is not ConstantForce:
             return None
+        _check_axes("force", self.force, n_axes)
         if self.border is None:
             return ScalarStep(CONSTANT, self.force)
         where = self.force.new_tensor([self.border, self.axis % n_axes]).expand(*self.force.shape[:-1], 2)
@@ -52,8 +59,11 @@ class DivergentForce:
             position is, rather than straight away from that point; in the plane.
     """
 
-    def __init__(self, path: Tensor, gain: float, *, along_normal: bool = False) -> None:
-        self.path, self.gain, self.along_normal = path, gain, along_normal
+    def __init__(self, path: Array, gain: float, *, along_normal: bool = False) -> None:
+        path = real("path", path)
+        if path.ndim != 2 or len(path) < 2:
+            raise InvalidArgumentError(f"path has to be (n, D) of at least two points, got shape {tuple(path.shape)}")
+        self.path, self.gain, self.along_normal = path, number("gain", gain, "finite", math.isfinite), along_normal
         self.normal = torch.zeros_like(path)  # (n, D)
         if along_normal:
             tangent = torch.cat([path.diff(dim=0), path[-1:] - path[-2:-1]])
@@ -62,6 +72,7 @@ class DivergentForce:
 
     def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
         """The force at positions `x` `(..., D)`."""
+        _check_axes("path", self.path, x.shape[-1])
         path = self.path.to(x)
         nearest = (path.square().sum(-1) - 2 * x.detach() @ path.mT).argmin(-1)
         offset = x - path[nearest]
@@ -76,6 +87,7 @@ class DivergentForce:
         """The same for compiled code."""
         if type(self) is not DivergentForce:
             return None
+        _check_axes("path", self.path, n_axes)
         parts = [
             self.path.new_tensor([self.gain]),
             self.path.flatten(),
@@ -83,3 +95,10 @@ class DivergentForce:
             self.normal.flatten(),
         ]
         return ScalarStep(AWAY_ALONG_NORMAL if self.along_normal else AWAY, torch.cat(parts))
+
+
+def _check_axes(name: str, value: Tensor, n_axes: int) -> None:
+    if value.shape[-1] != n_axes:
+        raise InvalidArgumentError(
+            f"{name} has to have the {n_axes} axes of the motion, got shape {tuple(value.shape)}"
+        )

@@ -12,6 +12,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, beside, number, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
@@ -48,7 +49,7 @@ class ImpedanceControlled:
     def __init__(
         self,
         plant: PointMass,
-        stiffness: float | Tensor | None = None,
+        stiffness: float | Array | None = None,
         *,
         form: Literal["implicit", "explicit"] = "implicit",
         low: float = 0.0,
@@ -58,14 +59,16 @@ class ImpedanceControlled:
     ) -> None:
         if form not in ("implicit", "explicit"):
             raise InvalidArgumentError(f"form has to be 'implicit' or 'explicit', got {form!r}")
+        low, high = (number(name, n, "a number", lambda _: True) for name, n in (("low", low), ("high", high)))
         if not 0 <= low <= high:
             raise InvalidArgumentError(f"low and high have to be 0 ≤ low ≤ high, got low={low} and high={high}")
-        if stiffness is not None and not (torch.as_tensor(stiffness) >= 0).all():
+        constant = None if stiffness is None else real("stiffness", stiffness)
+        if constant is not None and not (constant >= 0).all():
             raise InvalidArgumentError(f"a constant stiffness has to be ≥ 0, got {stiffness}")
-        if max_rate is not None and not max_rate > 0:
-            raise InvalidArgumentError(f"max_rate has to be positive, got {max_rate}")
+        if max_rate is not None:
+            max_rate = number("max_rate", max_rate, "positive", lambda n: n > 0)
         self.plant = plant
-        self.stiffness = stiffness
+        self.stiffness = float(constant) if constant is not None and constant.ndim == 0 else constant
         self.form = form
         self.low, self.high = low, high
         self.max_rate = max_rate
@@ -106,15 +109,16 @@ class ImpedanceControlled:
         max_rate = math.inf if self.max_rate is None else self.max_rate
         limits = (self.low, self.high, max_rate)
         numbers = (self.plant.mass, self.plant.damping, self.form == "explicit", *limits, self.stiffness is not None)
-        each = self._followed(n_axes, n_rows) if self.stiffness is None else self.stiffness
-        each = torch.as_tensor(each, dtype=torch.float64)
+        followed = self._followed(n_axes, n_rows) if self.stiffness is None else self.stiffness
+        axes = torch.empty(n_axes, dtype=torch.float64)
+        each = beside("stiffness", followed, axes, "a number or (D,)", last=0)
         each = each.expand(*each.shape[:-1], n_axes)  # the constant of each axis, or the row that it follows
         common = each.new_tensor([float(number) for number in numbers]).expand(*each.shape[:-1], len(numbers))
         return ScalarStep(IMPEDANCE, torch.cat([common, each], -1), force)
 
     def _stiffness(self, x: Tensor, asked: Tensor | None) -> Tensor:
         if self.stiffness is not None:
-            return torch.as_tensor(self.stiffness, dtype=x.dtype, device=x.device).expand_as(x)
+            return beside("stiffness", self.stiffness, x, "a number or (D,)", last=0).expand_as(x)
         if asked is None:
             asked = x[..., :0]
         return asked.clamp(self.low, self.high)[..., self._followed(x.shape[-1], asked.shape[-1])]

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchds import findings
-from torchds.arrays import Array, check_positive, tensors
+from torchds.arrays import Array, check_positive, tensor, tensors
 from torchds.errors import DemonstrationWarning, InvalidArgumentError, InvalidDemonstrationsError
 from torchds.preparation import Demonstration, Preparation
 
@@ -78,7 +78,7 @@ class Mending(Preparation):
         found = [
             resample(
                 i,
-                np.asarray(times[i], dtype=np.float64).ravel(),
+                tensor(f"times of demonstration {i}", times[i]).double().ravel().numpy(force=True),
                 x[i],
                 None if v is None else v[i],
                 None if s is None else s[i],

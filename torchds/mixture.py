@@ -9,13 +9,14 @@ import math
 import warnings
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeGuard, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchds import em
+from torchds.arrays import Array, count, like, of_one_dtype, real
 from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError, LargestMixtureWarning
 from torchds.files import read_npz, write_npz
 
@@ -62,30 +63,32 @@ class GaussianMixture:
             distribution, or a covariance that is not positive definite (the message says which component).
     """
 
-    def __init__(self, priors: Tensor, means: Tensor, covariances: Tensor) -> None:
-        *batch, K, F = means.shape if means.ndim >= 2 else (0, 0)
-        if priors.shape != (*batch, K) or covariances.shape != (*batch, K, F, F) or K * F == 0:
+    def __init__(self, priors: Array, means: Array, covariances: Array) -> None:
+        given = {"priors": priors, "means": means, "covariances": covariances}
+        pi, mu, Sigma = of_one_dtype(given)
+        *batch, K, F = mu.shape if mu.ndim >= 2 else (0, 0)
+        if pi.shape != (*batch, K) or Sigma.shape != (*batch, K, F, F) or K * F == 0:
             raise DegenerateMixtureError(
                 "priors, means and covariances have to be (*batch, K), (*batch, K, F) and (*batch, K, F, F), got "
-                f"{tuple(priors.shape)}, {tuple(means.shape)} and {tuple(covariances.shape)}"
+                f"{tuple(pi.shape)}, {tuple(mu.shape)} and {tuple(Sigma.shape)}"
             )
-        for name, value in {"priors": priors, "means": means, "covariances": covariances}.items():
+        for name, value in {"priors": pi, "means": mu, "covariances": Sigma}.items():
             if not value.isfinite().all():
                 raise DegenerateMixtureError(f"{name} have to be finite, got NaN or infinity; fit to finite samples")
-        if (priors < 0).any() or not torch.allclose(priors.sum(-1), torch.ones_like(priors[..., 0]), atol=1e-4):
-            raise DegenerateMixtureError(
-                f"priors have to be ≥ 0 and sum to 1, got {priors.tolist()}; divide by their sum"
-            )
-        scale = covariances.diagonal(dim1=-2, dim2=-1).amax(-1)
-        asymmetric = (covariances - covariances.mT).abs().amax((-2, -1)) > 1e-5 * scale
-        factors, info = torch.linalg.cholesky_ex(covariances)
+        if (pi < 0).any() or not torch.allclose(pi.sum(-1), torch.ones_like(pi[..., 0]), atol=1e-4):
+            raise DegenerateMixtureError(f"priors have to be ≥ 0 and sum to 1, got {pi.tolist()}; divide by their sum")
+        scale = Sigma.diagonal(dim1=-2, dim2=-1).amax(-1)
+        asymmetric = (Sigma - Sigma.mT).abs().amax((-2, -1)) > 1e-5 * scale
+        factors, info = torch.linalg.cholesky_ex(Sigma)
         if (bad := asymmetric | (info != 0)).any():
             raise DegenerateMixtureError(
                 "covariances have to be symmetric positive definite, got others in component(s) "
                 f"{sorted(set(bad.nonzero()[:, -1].tolist()))}; fit with a larger covariance_floor or add a small "
                 "multiple of the identity"
             )
-        self.priors, self.means, self.covariances = priors, means, covariances
+        self.priors: Tensor = pi
+        self.means: Tensor = mu
+        self.covariances: Tensor = Sigma
         self._factors = factors
 
     def __repr__(self) -> str:
@@ -102,8 +105,13 @@ class GaussianMixture:
         """The leading dimensions of a batch of mixtures, () for one."""
         return tuple(self.means.shape[:-2])
 
-    def component_log_prob(self, y: Tensor) -> Tensor:
-        """log(π_k N(y; μ_k, Σ_k)), `(*batch, *points, K)` for `y` `(*batch, *points, F)`."""
+    def component_log_prob(self, y: Array) -> Tensor:
+        """log(π_k N(y; μ_k, Σ_k)), `(*batch, *points, K)` for `y` `(*batch, *points, F)`.
+
+        Raises:
+            InvalidArgumentError: `y` is no array of numbers, or of another shape.
+        """
+        y = self._checked("y", y, self.means.shape[-1])
         points = (1,) * (y.ndim - 1 - len(self.batch_shape))
         F, K = y.shape[-1], self.n_components
         means = self.means.reshape(*self.batch_shape, *points, K, F)
@@ -114,9 +122,18 @@ class GaussianMixture:
         log_priors = self.priors.log().reshape(*self.batch_shape, *points, K)
         return log_priors - 0.5 * (z.square().sum(-1) + F * math.log(2 * math.pi)) - log_det
 
-    def log_prob(self, y: Tensor) -> Tensor:
+    def log_prob(self, y: Array) -> Tensor:
         """log p(y), `(*batch, *points)` for `y` `(*batch, *points, F)`."""
         return self.component_log_prob(y).logsumexp(-1)
+
+    def _checked(self, name: str, y: Array, dim: int) -> Tensor:
+        """Points `(*batch, *points, dim)` of this mixture."""
+        y, n = like(name, y, self.means), len(self.batch_shape)
+        if y.ndim <= n or y.shape[-1] != dim or y.shape[:n] not in (self.batch_shape, (1,) * n):
+            raise InvalidArgumentError(
+                f"{name} has to be (*batch, *points, {dim}) with batch {self.batch_shape}, got shape {tuple(y.shape)}"
+            )
+        return y
 
     def marginal(self, start: int, stop: int) -> GaussianMixture:
         """The mixture of variables start..stop-1 alone."""
@@ -136,10 +153,16 @@ class GaussianMixture:
         b = self.means[..., D:] - (A @ self.means[..., :D, None]).squeeze(-1)
         return A, b
 
-    def condition(self, x: Tensor) -> Conditional:
-        """The distribution of the other variables once the first D are known, for `x` `(*batch, *points, D)`."""
+    def condition(self, x: Array) -> Conditional:
+        """The distribution of the other variables once the first D are known, for `x` `(*batch, *points, D)`.
+
+        Raises:
+            InvalidArgumentError: `x` is no array of numbers, or of another shape.
+        """
+        x = real("x", x, "(*batch, *points, D)")
         D = x.shape[-1]
         A, b = self.experts(D)
+        x = self._checked("x", x, D)
         points = (1,) * (x.ndim - 1 - len(self.batch_shape))
         A_, b_ = (m.reshape(*self.batch_shape, *points, *m.shape[len(self.batch_shape) :]) for m in (A, b))
         means = (A_ @ x[..., None, :, None]).squeeze(-1) + b_
@@ -179,7 +202,7 @@ class GaussianMixture:
     @classmethod
     def fit(
         cls,
-        data: Demonstrations | Tensor,
+        data: Demonstrations | Array,
         n_components: int | Literal["bic"],
         *,
         input_dim: int | None = None,
@@ -214,12 +237,12 @@ class GaussianMixture:
             InvalidArgumentError: an argument out of its range.
         """
         y = joint_samples(data, input_dim)
-        if not isinstance(data, Tensor):
+        if _demonstrated(data):
             data.check().warn()
         if isinstance(n_components, str) and n_components != "bic":
             raise InvalidArgumentError(f"n_components has to be a number or 'bic', got {n_components!r}")
-        if isinstance(n_components, int) and n_components < 1:
-            raise InvalidArgumentError(f"n_components has to be at least 1, got {n_components}")
+        if not isinstance(n_components, str):
+            n_components = count("n_components", n_components, 1)
         if max_components < 1:
             raise InvalidArgumentError(f"max_components has to be at least 1, got {max_components}")
         if covariance_floor is not None and not covariance_floor > 0:
@@ -258,11 +281,16 @@ class GaussianMixture:
         return cls(*(torch.as_tensor(a, dtype=torch.float64) for a in arrays))
 
 
-def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -> np.ndarray:
-    """The joint samples [x, v(, stiffness)] `(M, F)` of demonstrations (Eq. 34), or a tensor of samples as it is."""
-    if isinstance(data, Tensor):
+def _demonstrated(data: Demonstrations | Array) -> TypeGuard[Demonstrations]:
+    return hasattr(data, "stacked")
+
+
+def joint_samples(data: Demonstrations | Array, input_dim: int | None = None) -> np.ndarray:
+    """The joint samples [x, v(, stiffness)] `(M, F)` of demonstrations (Eq. 34), or an array of samples as it is."""
+    if not _demonstrated(data):
+        data = real("data", cast(Array, data))
         if data.ndim != 2 or 0 in data.shape:
-            raise DegenerateMixtureError(f"samples have to be a tensor (M, F), got shape {tuple(data.shape)}")
+            raise DegenerateMixtureError(f"samples have to be an array (M, F), got shape {tuple(data.shape)}")
         return data.detach().cpu().numpy().astype(np.float64)
     x, v, stiffness = data.stacked()
     if input_dim is not None and not 1 <= input_dim <= x.shape[-1]:
@@ -271,10 +299,10 @@ def joint_samples(data: Demonstrations | Tensor, input_dim: int | None = None) -
     return torch.cat(columns, -1).cpu().numpy().astype(np.float64)
 
 
-def _spread(data: Demonstrations | Tensor, y: np.ndarray) -> np.ndarray:
+def _spread(data: Demonstrations | Array, y: np.ndarray) -> np.ndarray:
     """The standard deviation `(F,)` of each variable of `y` `(M, F)`, one for all variables of one unit."""
     variance = y.var(0)
-    if isinstance(data, Tensor):
+    if not _demonstrated(data):
         sizes = [len(variance)]
     else:
         Q = 0 if data[0].stiffness is None else data[0].stiffness.shape[1]

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from torchds import policy_file
-from torchds.arrays import Array, broadcast_shape
+from torchds.arrays import Array, broadcast_shape, real
 from torchds.errors import InvalidArgumentError
 
 
@@ -132,7 +132,7 @@ class ExpertParameters(nn.Module):
             A, b = cat_broadcast([A, named["stiffness_A"]], -2), cat_broadcast([b, named["stiffness_b"]], -1)
         return cat_broadcast([A.flatten(-2), b], -1).flatten(-2)
 
-    def split(self, theta: Tensor) -> dict[str, Tensor]:
+    def split(self, theta: Array) -> dict[str, Tensor]:
         """The parameters, by name, that `theta` `(*batch, P)` stands for; differentiable, changes nothing.
 
         Raises:
@@ -140,6 +140,7 @@ class ExpertParameters(nn.Module):
         """
         K, D, O, Q = self.n_components, self.input_dim, self.output_dim, self.stiffness_dim
         P = K * (O + Q) * (D + 1)
+        theta = theta if isinstance(theta, Tensor) and not theta.is_complex() else real("theta", theta)
         if theta.shape[-1:] != (P,):
             raise InvalidArgumentError(f"theta has to be (*batch, {P}) for this policy, got {tuple(theta.shape)}")
         blocks = torch.unflatten(theta, -1, (K, (O + Q) * (D + 1)))
@@ -147,7 +148,7 @@ class ExpertParameters(nn.Module):
         named = {"A": A[..., :O, :], "b": b[..., :O]}
         return named | ({"stiffness_A": A[..., O:, :], "stiffness_b": b[..., O:]} if Q else {})
 
-    def unpack(self, theta: Tensor) -> Self:
+    def unpack(self, theta: Array) -> Self:
         """Write `theta` `(*batch, P)` into the parameters, taking over its batch, and return this policy.
 
         The parameters stay the same objects, so an optimizer that holds them sees the new values.
@@ -155,7 +156,7 @@ class ExpertParameters(nn.Module):
         Raises:
             InvalidArgumentError: `theta` does not have P entries.
         """
-        for name, value in self.split(theta.detach()).items():
+        for name, value in self.split(real("theta", theta).detach()).items():
             parameter = self.get_parameter(name)
             if parameter.shape != value.shape:
                 parameter.grad = None  # of another batch; autograd could not add to it

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from torchds.arrays import beside, number
 from torchds.errors import InvalidArgumentError
 
 Force = Callable[[float, Tensor, Tensor], Tensor]
@@ -81,6 +82,9 @@ class PointMass:
     """
 
     def __init__(self, mass: float = 1.0, damping: float = 1.0, force: Force | None = None) -> None:
+        mass, damping = (
+            number(name, n, "a number", lambda _: True) for name, n in (("mass", mass), ("damping", damping))
+        )
         if not mass > 0 or not damping >= 0:
             raise InvalidArgumentError(f"mass has to be positive and damping ≥ 0, got {mass} and {damping}")
         self.mass = mass
@@ -94,7 +98,9 @@ class PointMass:
 
     def external(self, t: float, state: PointMassState) -> Tensor:
         """The external force in a state."""
-        return torch.zeros_like(state.x) if self.force is None else self.force(t, state.x, state.v).expand_as(state.x)
+        if self.force is None:
+            return torch.zeros_like(state.x)
+        return beside("force", self.force(t, state.x, state.v), state.x, "(..., D)").expand_as(state.x)
 
     def advance(self, state: PointMassState, acceleration: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Velocity first, then position with the new velocity (Eq. 29-30)."""

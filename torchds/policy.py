@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import stability
-from torchds.arrays import like, of_one_dtype
+from torchds.arrays import Array, beside, like, of_one_dtype
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.fused import Field
 from torchds.mixture import GaussianMixture
@@ -72,46 +72,46 @@ class GMRPolicy(ExpertParameters):
 
     def __init__(
         self,
-        priors: Tensor,
-        means: Tensor,
-        covariances: Tensor,
-        A: Tensor,
-        b: Tensor,
-        stiffness_A: Tensor | None = None,
-        stiffness_b: Tensor | None = None,
+        priors: Array,
+        means: Array,
+        covariances: Array,
+        A: Array,
+        b: Array,
+        stiffness_A: Array | None = None,
+        stiffness_b: Array | None = None,
     ) -> None:
         given: dict[str, Any] = {"priors": priors, "means": means, "covariances": covariances, "A": A, "b": b}
         given |= {"stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
-        priors, means, covariances, A, b, stiffness_A, stiffness_b = of_one_dtype(
-            given, finite=("A", "b", "stiffness_A", "stiffness_b")
-        )
-        gate = GaussianMixture(priors, means, covariances)
-        K, D = means.shape[-2:]
-        if (stiffness_A is None) != (stiffness_b is None):
+        stiffness_too = ("stiffness_A", "stiffness_b")
+        tensors = of_one_dtype(given, optional=stiffness_too, finite=("A", "b", *stiffness_too))
+        pi, mu, Sigma, A_v, b_v, A_s, b_s = tensors
+        gate = GaussianMixture(pi, mu, Sigma)
+        K, D = mu.shape[-2:]
+        if (A_s is None) != (b_s is None):
             raise InvalidArgumentError("stiffness_A and stiffness_b come together; got only one of them")
-        if stiffness_A is None or stiffness_b is None:
-            stiffness_A, stiffness_b = A.new_zeros(*A.shape[:-2], 0, D), b.new_zeros(*b.shape[:-1], 0)
-        for slopes, offsets in ((A, b), (stiffness_A, stiffness_b)):
+        if A_s is None:
+            A_s, b_s = A_v.new_zeros(*A_v.shape[:-2], 0, D), b_v.new_zeros(*b_v.shape[:-1], 0)
+        for slopes, offsets in ((A_v, b_v), (A_s, b_s)):
             if slopes.ndim < 3 or slopes.shape[-3::2] != (K, D) or offsets.shape != slopes.shape[:-1]:
                 raise InvalidArgumentError(
                     f"with {K} components of {D} inputs, slopes have to be (*batch, {K}, O, {D}) and offsets "
                     f"(*batch, {K}, O); got {tuple(slopes.shape)} and {tuple(offsets.shape)}"
                 )
-        lead, own = tuple(A.shape[:-3]), gate.batch_shape
+        lead, own = tuple(A_v.shape[:-3]), gate.batch_shape
         if lead[len(lead) - len(own) :] != own:
             raise InvalidArgumentError(f"a gating of batch {own} needs parameters whose batch ends with it, got {lead}")
-        super().__init__(A, b, stiffness_A, stiffness_b)
+        super().__init__(A_v, b_v, A_s, b_s)
         # Σ⁻¹ = WᵀW with W = L⁻¹, so that |W(x − μ)| is the Mahalanobis distance.
-        identity = torch.eye(D, dtype=means.dtype, device=means.device).expand_as(covariances)
-        factors = torch.linalg.solve_triangular(torch.linalg.cholesky(covariances), identity, upper=False)
-        center = means.mean(-2)  # distances are taken from here first: float32 keeps its digits far from the origin
-        self.register_buffer("priors", priors.detach().clone())
-        self.register_buffer("means", means.detach().clone())
+        identity = torch.eye(D, dtype=mu.dtype, device=mu.device).expand_as(Sigma)
+        factors = torch.linalg.solve_triangular(torch.linalg.cholesky(Sigma), identity, upper=False)
+        center = mu.mean(-2)  # distances are taken from here first: float32 keeps its digits far from the origin
+        self.register_buffer("priors", pi.detach().clone())
+        self.register_buffer("means", mu.detach().clone())
         self.register_buffer("factors", factors.detach())
         self.register_buffer("_center", center.detach())
-        offset = -(factors @ (means - center.unsqueeze(-2)).unsqueeze(-1)).flatten(-3)
+        offset = -(factors @ (mu - center.unsqueeze(-2)).unsqueeze(-1)).flatten(-3)
         self.register_buffer("_offset", offset.detach())
-        log_scale = priors.log() + factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        log_scale = pi.log() + factors.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         self.register_buffer("_log_scale", log_scale.detach())
 
     # ------------------------------------------------------------------ construction
@@ -122,7 +122,7 @@ class GMRPolicy(ExpertParameters):
         mixture: GaussianMixture,
         input_dim: int,
         stiffness_dim: int = 0,
-        stiffness: float | Tensor | None = None,
+        stiffness: float | Array | None = None,
     ) -> GMRPolicy:
         """Condition a joint mixture over [x, v(, s)] on x (Eq. 1-3, 34).
 
@@ -146,17 +146,14 @@ class GMRPolicy(ExpertParameters):
             )
         if stiffness is not None and stiffness_dim == 0:
             raise InvalidArgumentError(f"stiffness={stiffness} needs stiffness_dim ≥ 1, got 0")
-        if isinstance(stiffness, Tensor) and stiffness.shape not in ((), (stiffness_dim,)):
-            raise InvalidArgumentError(
-                f"stiffness has to be a number or ({stiffness_dim},) for stiffness_dim={stiffness_dim}, got shape "
-                f"{tuple(stiffness.shape)}"
-            )
         A, b = mixture.experts(input_dim)
         A, stiffness_A = A[..., :n_outputs, :], A[..., n_outputs:, :]
         b, stiffness_b = b[..., :n_outputs], b[..., n_outputs:]
         if stiffness is not None:
             stiffness_A = A.new_zeros(K, stiffness_dim, input_dim)
-            stiffness_b = torch.as_tensor(stiffness, dtype=b.dtype, device=b.device).expand(K, stiffness_dim)
+            words = f"a number or ({stiffness_dim},) for {stiffness_dim=}"
+            rows = beside("stiffness", stiffness, b.new_empty(stiffness_dim), words, last=0)
+            stiffness_b = rows.expand(K, stiffness_dim)
         gate = mixture.marginal(0, input_dim)
         return cls(gate.priors, gate.means, gate.covariances, A, b, stiffness_A, stiffness_b)
 
@@ -167,7 +164,7 @@ class GMRPolicy(ExpertParameters):
         n_components: Any = 4,
         *,
         input_dim: int | None = None,
-        stiffness: float | Tensor | None = None,
+        stiffness: float | Array | None = None,
         stiffness_dim: int = 0,
         **fit: Any,
     ) -> GMRPolicy:
@@ -235,7 +232,7 @@ class GMRPolicy(ExpertParameters):
 
     # ------------------------------------------------------------------ evaluation
 
-    def gating(self, x: Tensor) -> Tensor:
+    def gating(self, x: Array) -> Tensor:
         """h_k(x) of Eq. 2, `(..., K)` for `x` `(..., D)`: sums to one, arbitrarily far from the data too.
 
         Raises:
@@ -247,7 +244,7 @@ class GMRPolicy(ExpertParameters):
         squares = torch.unflatten(z.clamp(-limit, limit).square(), -1, (self.n_components, self.input_dim)).sum(-1)
         return torch.softmax(self._at_points(self._log_scale, 1, x) - 0.5 * squares, -1)
 
-    def _checked(self, x: Tensor) -> Tensor:
+    def _checked(self, x: Array) -> Tensor:
         """States `(..., D)` of any type of numbers, in the dtype of the policy."""
         x = like("x", x, self.means)
         if x.shape[-1:] != (self.input_dim,):
@@ -275,7 +272,7 @@ class GMRPolicy(ExpertParameters):
         n_points = x.ndim - 1 - len(self.batch_shape)
         return buffer.reshape(*buffer.shape[:lead], *(1,) * n_points, *buffer.shape[lead:])
 
-    def features(self, x: Tensor) -> Tensor:
+    def features(self, x: Array) -> Tensor:
         """h_k(x) [x, 1], `(..., K (D+1))`: every output is linear in these features (Eq. 8-9)."""
         x = self._checked(x)
         return (self.gating(x).unsqueeze(-1) * F.pad(x, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
@@ -300,15 +297,15 @@ class GMRPolicy(ExpertParameters):
             return None
         return Field(rows, self.output_dim, self._center, self.factors, self._offset, self._log_scale)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Array) -> Tensor:
         """The velocity ẋ `(*batch, *points, O)` at `x` `(*batch, *points, D)` (Eq. 1)."""
         return self.outputs(self.features(x), arrange(self.A, self.b))
 
-    def stiffness(self, x: Tensor) -> Tensor:
+    def stiffness(self, x: Array) -> Tensor:
         """The stiffness s `(*batch, *points, Q)` at `x` `(*batch, *points, D)`, before any clamping (Eq. 34)."""
         return self.outputs(self.features(x), self.rows())[..., self.output_dim :]
 
-    def basis(self, x: Tensor) -> Tensor:
+    def basis(self, x: Array) -> Tensor:
         """G of Eq. 8-9 and 42-43, `(..., O+Q, P)`: `basis(x) @ pack()` is [ẋ; s]."""
         x, n = self._checked(x), self.output_dim + self.stiffness_dim
         identity = torch.eye(n, dtype=x.dtype, device=x.device)
@@ -316,7 +313,7 @@ class GMRPolicy(ExpertParameters):
         block = torch.cat([slopes, identity.expand(*slopes.shape[:-1], n)], -1)
         return (self.gating(x)[..., None, :, None] * block.unsqueeze(-2)).flatten(-2)
 
-    def jacobian(self, x: Tensor) -> Tensor:
+    def jacobian(self, x: Array) -> Tensor:
         r"""∂[ẋ; s]/∂x `(*batch, *points, O+Q, D)`, in closed form.
 
         .. math:: \sum_k h_k (A_k + y_k (σ_k - \sum_j h_j σ_j)^T), \quad y_k = A_k x + b_k, \quad σ_k = -Σ_k^{-1} (x - μ_k).
@@ -332,6 +329,6 @@ class GMRPolicy(ExpertParameters):
         y = (experts @ F.pad(x, (0, 1), value=1.0)[..., None, :, None]).squeeze(-1)  # (*batch, *points, O+Q, K)
         return y @ turn + (h[..., None, :, None] * experts[..., :D]).sum(-2)
 
-    def certificate(self, goal: Tensor, P: Tensor | None = None) -> stability.Certificate:
+    def certificate(self, goal: Array, P: Array | None = None) -> stability.Certificate:
         """What proves that every motion of this policy ends at `goal`; see `torchds.stability.certificate`."""
         return stability.certificate(self, goal, P)

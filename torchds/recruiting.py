@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, like, number
 from torchds.errors import InvalidArgumentError
 from torchds.policy import GMRPolicy
 from torchds.rollouts import Rollout
@@ -19,7 +20,7 @@ from torchds.rollouts import Rollout
 ODDS = 9.0  # of a copy against its original, at the place of recruiting
 
 
-def recruit(policy: GMRPolicy, at: Tensor, width: float) -> GMRPolicy:
+def recruit(policy: GMRPolicy, at: Array, width: float) -> GMRPolicy:
     r"""A policy of 2 K Gaussians with the same field, that can be changed near `at` without changing it elsewhere.
 
     A Gaussian beside others takes from all of them, so K + 1 of them cannot make the old field again. K more can: each of
@@ -49,15 +50,15 @@ def recruit(policy: GMRPolicy, at: Tensor, width: float) -> GMRPolicy:
         >>> torchds.recruit(policy, torch.tensor([1.0, 0.0]), width=0.5)
         GMRPolicy(K=2, D=2, O=2, Q=0, batch_shape=())
     """
-    D, batch, lead = policy.input_dim, policy.batch_shape, at.shape[:-1]
-    if at.shape[-1:] != (D,) or batch[len(batch) - len(lead) :] != lead or not at.isfinite().all():
+    place = like("at", at, policy.means)
+    D, batch, lead = policy.input_dim, policy.batch_shape, place.shape[:-1]
+    if place.shape[-1:] != (D,) or batch[len(batch) - len(lead) :] != lead or not place.isfinite().all():
         raise InvalidArgumentError(
             f"at has to be finite and ({D},), or (*lead, {D}) where the batch_shape {batch} of the policy ends with lead, "
-            f"got {at.tolist()} of shape {tuple(at.shape)}"
+            f"got {place.tolist()} of shape {tuple(place.shape)}"
         )
-    if not (math.isfinite(width) and width > 0):
-        raise InvalidArgumentError(f"width has to be finite and positive, got {width}")
-    away = at.to(policy.means).unsqueeze(-2) - policy.means  # (*gate, K, D)
+    width = number("width", width, "finite and positive", lambda size: 0 < size < math.inf)
+    away = place.unsqueeze(-2) - policy.means  # (*gate, K, D)
     Sigma, wide = policy.covariances, width**2 * torch.eye(D, dtype=away.dtype, device=away.device)
     gain = torch.linalg.solve(Sigma + wide, Sigma).mT  # Σ (Σ + width² I)⁻¹, (*gate, K, D, D)
     means = policy.means + (gain @ away.unsqueeze(-1)).squeeze(-1)

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from torchds import kernels
+from torchds.arrays import Array, beside
 from torchds.policy import GMRPolicy
 from torchds.rollouts import Rollout
 
 
 @torch.no_grad()
-def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor:
+def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Array) -> Tensor:
     """The Jacobian of the stiffness outputs with respect to θ, `(*batch, *points, T, Q, P)` for the states 0..T−1.
 
     Args:
@@ -22,11 +23,12 @@ def stiffness_sensitivity(policy: GMRPolicy, path: Rollout, J: Tensor) -> Tensor
         path: its roll-out.
         J: `sensitivity(policy, path)`, since the stiffness depends on where the reference is.
     """
-    if (field := kernels.fusable(policy, path.inputs, J)) is not None:
-        return kernels.stiffness_sensitivity(field, path.inputs, J)
-    O = policy.output_dim
-    x = path.inputs
-    return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ _before(J[..., : policy.input_dim, :])
+    O, x = policy.output_dim, path.inputs
+    shape = x.new_empty(()).expand(*x.shape[:-1], O, policy.pack().shape[-1])
+    steps = beside("J", J, shape, "(*batch, *points, T, O, P)", last=3)
+    if (field := kernels.fusable(policy, x, steps)) is not None:
+        return kernels.stiffness_sensitivity(field, x, steps)
+    return policy.basis(x)[..., O:, :] + policy.jacobian(x)[..., O:, :] @ _before(steps[..., : policy.input_dim, :])
 
 
 @torch.no_grad()

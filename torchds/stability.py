@@ -13,12 +13,14 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torchds.arrays import Array, beside, like, number, real, shown
 from torchds.errors import InvalidArgumentError
 
 Policy = TypeVar("Policy", bound=nn.Module)
@@ -76,7 +78,7 @@ def _named(kinds: Any) -> Any:
 
 
 @torch.no_grad()
-def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) -> Certificate:
+def certificate(policy: LinearExperts, goal: Array, P: Array | None = None) -> Certificate:
     """Check the condition of this module, in float64 whatever the policy is.
 
     A policy that fails may still be stable: the condition is sufficient, and it depends on P.
@@ -107,18 +109,18 @@ def certificate(policy: LinearExperts, goal: Tensor, P: Tensor | None = None) ->
         raise InvalidArgumentError(
             f"the slopes of a certificate have to be square, as many velocities as inputs, got ({A.shape[-2]}, {D})"
         )
-    goal = _checked_goal(goal, D).to(A).unsqueeze(-2)
-    metric = None if P is None else P.to(A).unsqueeze(-3)
+    x_star = _checked_goal(goal, b[..., 0, :]).unsqueeze(-2)
+    metric = _metric(P, A)
     eigenvalues = largest_eigenvalue(A, metric)
     blur = resolution(A, metric)
-    pull = (A @ goal.unsqueeze(-1)).squeeze(-1)
+    pull = (A @ x_star.unsqueeze(-1)).squeeze(-1)
     offset = torch.linalg.vector_norm(b + pull, dim=-1)
-    size = torch.linalg.vector_norm(b, dim=-1) + torch.linalg.matrix_norm(A) * torch.linalg.vector_norm(goal, dim=-1)
+    size = torch.linalg.vector_norm(b, dim=-1) + torch.linalg.matrix_norm(A) * torch.linalg.vector_norm(x_star, dim=-1)
     tied = offset <= 100 * eps * size  # b is kept in the policy's own precision
     return Certificate(eigenvalues, offset, blur, tied.all(-1))
 
 
-def resolution(A: Tensor, P: Tensor | None = None, dtype: torch.dtype = torch.float64) -> Tensor:
+def resolution(A: Array, P: Array | None = None, dtype: torch.dtype = torch.float64) -> Tensor:
     r"""How far rounding to `dtype` can move what `largest_eigenvalue` gives, `(...)` [1/s].
 
     A rounded A differs by up to ε |A|, and in the coordinates of P that is seen :math:`\sqrt{cond P}` times as large. The
@@ -129,24 +131,25 @@ def resolution(A: Tensor, P: Tensor | None = None, dtype: torch.dtype = torch.fl
         P: `(..., D, D)`; None for the identity.
         dtype: in which A is kept.
     """
+    A = _square("A", A)
     blur: Tensor = ROUNDINGS * torch.finfo(dtype).eps * torch.linalg.matrix_norm(A)
     if P is None:
         return blur
-    values = torch.linalg.eigvalsh(P)
+    values = torch.linalg.eigvalsh(beside("P", P, A, "(..., D, D)", last=2))
     spread: Tensor = (values[..., -1] / values[..., 0]).clamp_min(1.0).sqrt()
     return blur * spread
 
 
-def largest_eigenvalue(A: Tensor, P: Tensor | None = None) -> Tensor:
+def largest_eigenvalue(A: Array, P: Array | None = None) -> Tensor:
     """The largest generalised eigenvalue of (P A + Aᵀ P) / 2 against P, `(...)` for `A` and `P` `(..., D, D)`.
 
     Negative means that A is in the set; minus it is the rate at which |x|_P is certain to fall. Differentiable.
     """
-    eigenvalues: Tensor = torch.linalg.eigvalsh(_symmetric(_seen_by(P, A)))
+    eigenvalues: Tensor = torch.linalg.eigvalsh(_symmetric(_seen_by(P, _square("A", A))))
     return eigenvalues[..., -1]
 
 
-def stable_matrices(factor: Tensor, skew: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -> Tensor:
+def stable_matrices(factor: Array, skew: Array, P: Array | None = None, *, margin: float = 0.0) -> Tensor:
     r"""Slopes in the set from any tensors, A = P⁻¹ (−L Lᵀ + W − Wᵀ) − margin I.
 
     Since P A + Aᵀ P = −2 L Lᵀ − 2 margin P, this is the whole set: `stable_factors` is the inverse.
@@ -160,18 +163,22 @@ def stable_matrices(factor: Tensor, skew: Tensor, P: Tensor | None = None, *, ma
     Returns:
         `(..., D, D)`.
     """
-    M = skew - skew.mT - factor @ factor.mT
-    return (M if P is None else torch.linalg.solve(P, M)) - margin * _identity_like(factor)
+    L = _square("factor", factor)
+    W = beside("skew", skew, L, "(..., D, D)", last=2)
+    M = W - W.mT - L @ L.mT
+    M = M if P is None else torch.linalg.solve(beside("P", P, M, "(..., D, D)", last=2), M)
+    return M - _margin(margin) * _identity_like(L)
 
 
-def stable_factors(A: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -> tuple[Tensor, Tensor]:
+def stable_factors(A: Array, P: Array | None = None, *, margin: float = 0.0) -> tuple[Tensor, Tensor]:
     """Factor (lower triangular) and skew (strictly upper) of slopes that lie in the set: `stable_matrices` inverted.
 
     Raises:
         InvalidArgumentError: slopes that do not have this margin; `project` moves them.
     """
-    M = A + margin * _identity_like(A)
-    M = M if P is None else P @ M
+    A = _square("A", A)
+    M = A + _margin(margin) * _identity_like(A)
+    M = M if P is None else beside("P", P, A, "(..., D, D)", last=2) @ M
     factor, info = torch.linalg.cholesky_ex(-_symmetric(M))
     if info.any():
         raise InvalidArgumentError(
@@ -181,7 +188,7 @@ def stable_factors(A: Tensor, P: Tensor | None = None, *, margin: float = 0.0) -
     return factor.contiguous(), ((M - M.mT) / 2).triu(1)
 
 
-def project(A: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0) -> Tensor:
+def project(A: Array, P: Array | None = None, *, margin: float | Array = 0.0) -> Tensor:
     """The slopes of the set nearest to A, in the Frobenius norm of C A C⁻¹ with P = CᵀC; A itself if it is in the set.
 
     The eigenvalues of the symmetric part are lowered to −margin where they are above; the rest of A stays.
@@ -191,16 +198,17 @@ def project(A: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0)
         P: `(..., D, D)`; None for the identity.
         margin: the rate of convergence that the result has at least, number or `(...)` [1/s].
     """
+    A = _square("A", A)
+    rate = beside("margin", margin, A[..., 0, 0], "a number or (...)", last=0).unsqueeze(-1)
     values, vectors = torch.linalg.eigh(_symmetric(_seen_by(P, A)))
-    margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device).unsqueeze(-1)
-    excess: Tensor = (vectors * (values + margin).clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    excess: Tensor = (vectors * (values + rate).clamp(min=0).unsqueeze(-2)) @ vectors.mT
     if P is not None:
-        C = _root(P)
+        C = _root(like("P", P, A))
         excess = torch.linalg.solve_triangular(C, excess @ C, upper=True)
     return A - excess
 
 
-def constrain(policy: Policy, goal: Tensor, P: Tensor | None = None, *, margin: float) -> Policy:
+def constrain(policy: Policy, goal: Array, P: Array | None = None, *, margin: float) -> Policy:
     """Let only free tensors of a policy be learned, from which its `A` and `b` follow as slopes and offsets of the set.
 
     Any optimizer, Adam or L-BFGS among them, then trains a policy that is stable at every step. `A` becomes
@@ -230,14 +238,13 @@ def constrain(policy: Policy, goal: Tensor, P: Tensor | None = None, *, margin: 
         >>> bool(policy.certificate(torch.zeros(2)).stable)
         True
     """
-    if not 0 < margin < float("inf"):
-        raise InvalidArgumentError(f"margin has to be above 0 and finite, got {margin}")
+    margin = number("margin", margin, "above 0 and finite", lambda rate: 0 < rate < math.inf)
     A: Tensor = policy.A.detach()  # type: ignore[operator]
     certificate(policy, goal, P)  # type: ignore[arg-type]  # for its checks
     batch, D = A.shape[:-3], A.shape[-1]
-    P = None if P is None else P.to(A).expand(*batch, D, D).clone()
-    parametrize.register_parametrization(policy, "A", _Slopes(P, margin))
-    parametrize.register_parametrization(policy, "b", _Offsets(policy, goal.to(A).expand(*batch, D).clone()))
+    metric = None if P is None else like("P", P, A).expand(*batch, D, D).clone()
+    parametrize.register_parametrization(policy, "A", _Slopes(metric, margin))
+    parametrize.register_parametrization(policy, "b", _Offsets(policy, like("goal", goal, A).expand(*batch, D).clone()))
     frozen = [policy.parametrizations.b.original]  # type: ignore[union-attr]
     frozen += [] if P is None else [policy.parametrizations.A.original2]  # type: ignore[union-attr]
     for parameter in frozen:
@@ -293,26 +300,41 @@ def _root(P: Tensor) -> Tensor:
     """C, upper triangular, with P = CᵀC."""
     factor, info = torch.linalg.cholesky_ex(P)
     asymmetric = (P - P.mT).abs() > 1e-5 * P.abs().amax((-2, -1), keepdim=True)
-    if info.any() or asymmetric.any():
+    if info.any() or asymmetric.any() or not P.isfinite().all():
         raise InvalidArgumentError(f"P has to be symmetric positive definite, got {P.tolist()}; None stands for I")
     C: Tensor = factor.mT
     return C
 
 
-def _seen_by(P: Tensor | None, A: Tensor) -> Tensor:
+def _seen_by(P: Array | None, A: Tensor) -> Tensor:
     """C A C⁻¹: the same motion in the coordinates z = C x, in which |x|_P is the length."""
     if P is None:
         return A
-    if P.shape[-2:] != A.shape[-2:]:
-        raise InvalidArgumentError(
-            f"P has to be (..., {A.shape[-1]}, {A.shape[-1]}) as these slopes are, got {tuple(P.shape)}"
-        )
-    C = _root(P)
+    C = _root(beside("P", P, A, "(..., D, D) as the slopes are", last=2))
     seen: Tensor = torch.linalg.solve_triangular(C, C @ A, upper=True, left=False)
     return seen
 
 
-def _checked_goal(goal: Tensor, dim: int) -> Tensor:
-    if goal.shape[-1:] != (dim,) or not goal.isfinite().all():
-        raise InvalidArgumentError(f"goal has to be finite and end with {dim} dimensions, got {goal.tolist()}")
-    return goal
+def _square(name: str, A: Array) -> Tensor:
+    """Square matrices `(..., D, D)` of finite numbers."""
+    A = real(name, A, "(..., D, D)")
+    if A.shape[-2] != A.shape[-1]:
+        raise InvalidArgumentError(f"{name} has to be (..., D, D), got shape {tuple(A.shape)}")
+    return A
+
+
+def _margin(margin: float) -> float:
+    return number("margin", margin, "finite", math.isfinite)
+
+
+def _metric(P: Array | None, A: Tensor) -> Tensor | None:
+    """P `(*batch, 1, D, D)` of a policy with slopes `(*batch, K, D, D)`."""
+    return None if P is None else beside("P", P, A[..., 0, :, :], "(D, D) or (*batch, D, D)", last=2).unsqueeze(-3)
+
+
+def _checked_goal(goal: Array, b: Tensor) -> Tensor:
+    """x* in the dtype of the offsets `b` `(*batch, D)`."""
+    dim, x_star = b.shape[-1], like("goal", goal, b)
+    if x_star.shape[-1:] != (dim,) or not x_star.isfinite().all():
+        raise InvalidArgumentError(f"goal has to be finite and end with {dim} dimensions, got {shown(x_star.tolist())}")
+    return beside("goal", x_star, b, "(D,) or (*batch, D)")

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, like
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError
 from torchds.mixture import GaussianMixture
@@ -26,7 +27,7 @@ def fit_mixtures(
     demos: Demonstrations | Sequence[Demonstrations],
     n_components: int | Literal["bic"] | Sequence[int] = "bic",
     *,
-    goal: Tensor | None = None,
+    goal: Array | None = None,
     seed: int | Sequence[int] = 0,
     max_components: int = 15,
 ) -> GaussianMixture:
@@ -56,7 +57,7 @@ def fit_mixtures(
 def fit_batch(
     motions: Sequence[Demonstrations],
     n_components: int | Literal["bic"] | Sequence[int],
-    goal: Tensor | None,
+    goal: Array | None,
     seed: int | Sequence[int],
     max_components: int = 15,
 ) -> GaussianMixture:
@@ -96,7 +97,7 @@ class Samples(NamedTuple):
     v_scale: Tensor  # (B,)
 
     @classmethod
-    def of(cls, motions: Sequence[Demonstrations], goal: Tensor | None) -> Samples:
+    def of(cls, motions: Sequence[Demonstrations], goal: Array | None) -> Samples:
         """Those of `motions`, towards `goal` `(D,)` or `(B, D)`; by default the mean of their last positions."""
         dims = sorted({motion.dim for motion in motions})
         if len(dims) != 1:
@@ -105,7 +106,7 @@ class Samples(NamedTuple):
             )
         if goal is None:
             goal = torch.stack([torch.stack([demo.x[-1] for demo in motion]).mean(0) for motion in motions])
-        goal = goal.to("cpu", torch.float64)
+        goal = like("goal", goal, torch.empty(0, dtype=torch.float64))
         if goal.shape not in ((dims[0],), (len(motions), dims[0])) or not goal.isfinite().all():
             raise InvalidArgumentError(
                 f"goal has to be finite and ({dims[0]},) or ({len(motions)}, {dims[0]}), got {goal.tolist()}"

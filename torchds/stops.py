@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchds.arrays import like
+from torchds.arrays import Array, beside, real
+from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import BOUNDS, WALLS, ScalarStep
 
 StopCondition = Callable[[Tensor, Tensor], Tensor]
@@ -27,22 +29,31 @@ class Bounds:
         high: number or `(D,)`.
     """
 
-    low: float | Tensor
-    high: float | Tensor
+    low: float | Array
+    high: float | Array
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, float, Tensor)):
-                object.__setattr__(self, name, like(name, value, torch.zeros((), dtype=torch.float64)))
+            limit = real(name, getattr(self, name))
+            object.__setattr__(self, name, float(limit) if limit.ndim == 0 else limit)
 
     def __call__(self, x: Tensor, x_next: Tensor) -> Tensor:
         """True where `x_next` is outside."""
-        return ~((x_next >= self.low) & (x_next <= self.high)).all(-1)
+        low, high = self._limits(x_next)
+        inside: Tensor = ((x_next >= low) & (x_next <= high)).all(-1)
+        return ~inside
+
+    def _limits(self, x: Tensor) -> list[Any]:
+        """Both limits for states `(..., D)`: numbers as they are, tensors in the dtype of the states."""
+        limits = {"low": self.low, "high": self.high}
+        return [
+            n if isinstance(n, float) else beside(name, n, x, "a number or (D,)", last=0) for name, n in limits.items()
+        ]
 
     def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
         """The same for compiled code; None for bounds that differ from roll-out to roll-out."""
-        limits = [torch.as_tensor(limit, dtype=torch.float64) for limit in (self.low, self.high)]
+        each = torch.empty(n_axes, dtype=torch.float64)
+        limits = [torch.as_tensor(limit, dtype=torch.float64) for limit in self._limits(each)]
         if type(self) is not Bounds or any(limit.ndim > 1 for limit in limits):
             return None
         return ScalarStep(BOUNDS, torch.cat([limit.expand(n_axes) for limit in limits]))
@@ -57,6 +68,12 @@ class Walls:
     """
 
     segments: Tensor
+
+    def __post_init__(self) -> None:
+        segments = real("segments", self.segments)
+        if segments.ndim != 3 or segments.shape[1:] != (2, 2):
+            raise InvalidArgumentError(f"segments has to be (W, 2, 2), got shape {tuple(segments.shape)}")
+        object.__setattr__(self, "segments", segments)
 
     def __call__(self, x: Tensor, x_next: Tensor) -> Tensor:
         """True where the segment from `x` to `x_next`, each `(..., 2)`, meets a wall."""

@@ -391,9 +391,9 @@ FITTED = {
 }
 
 REFUSED = {
-    "empty": (lambda y: y[:0], "samples have to be a tensor (M, F), got shape (0, 4)"),
-    "without variables": (lambda y: y[:, :0], "samples have to be a tensor (M, F), got shape (60, 0)"),
-    "one-dimensional": (lambda y: y[:, 0], "samples have to be a tensor (M, F), got shape (60,)"),
+    "empty": (lambda y: y[:0], "samples have to be an array (M, F), got shape (0, 4)"),
+    "without variables": (lambda y: y[:, :0], "samples have to be an array (M, F), got shape (60, 0)"),
+    "one-dimensional": (lambda y: y[:, 0], "samples have to be an array (M, F), got shape (60,)"),
     "not a number": (
         lambda y: with_row(y, torch.nan),
         "have to be finite and below 1e150, got nan in sample 30, variable 0",

@@ -472,7 +472,7 @@ def test_a_gating_that_is_no_mixture_is_refused():
         ({"input_dim": 2, "stiffness": 20.0}, "stiffness=20.0 needs stiffness_dim ≥ 1, got 0"),
         (
             {"input_dim": 2, "stiffness": torch.ones(3), "stiffness_dim": 2},
-            "stiffness has to be a number or (2,) for stiffness_dim=2, got shape (3,)",
+            "stiffness has to be a number or (2,) for stiffness_dim=2 and fit (2,), got shape (3,)",
         ),
     ],
 )

@@ -197,7 +197,11 @@ def test_a_stable_policy_is_certified_in_float64_whatever_its_precision(randn, d
     [
         (torch.zeros(3), None, "goal has to be finite and end with 2 dimensions"),
         (torch.tensor([0.0, torch.nan]), None, "goal has to be finite and end with 2 dimensions"),
-        (torch.zeros(2), torch.eye(3), r"P has to be \(..., 2, 2\) as these slopes are, got \(1, 3, 3\)"),
+        (
+            torch.zeros(2),
+            torch.eye(3),
+            r"P has to be \(D, D\) or \(\*batch, D, D\) and fit \(2, 2\), got shape \(3, 3\)",
+        ),
         (torch.zeros(2), -torch.eye(2), "P has to be symmetric positive definite"),
         (torch.zeros(2), torch.tensor([[1.0, 0.5], [0.0, 1.0]]), "P has to be symmetric positive definite"),
     ],

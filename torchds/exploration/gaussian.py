@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import broadcast_shape
+from torchds.arrays import Array, broadcast_shape, real, shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.exploration.homogeneous import chi_mean
@@ -31,24 +32,28 @@ class Gaussian(Exploration):
             does not fit its parameter.
     """
 
-    def __init__(self, std: float | Sequence[float | Tensor]) -> None:
-        for value in [std] if isinstance(std, (int, float)) else std:
-            entries = torch.as_tensor(value)
+    def __init__(self, std: float | Sequence[float | Array]) -> None:
+        if isinstance(std, (list, tuple)):
+            values, single = [real("std", value) for value in std], False
+        else:
+            whole = real("std", cast(Array, std))
+            values, single = ([whole], True) if whole.ndim == 0 else (list(whole), False)
+        for entries in values:
             if not entries.isfinite().all() or (entries < 0).any():
-                raise InvalidArgumentError(f"std has to be finite and ≥ 0, got {value}")
-        self.std = std
+                raise InvalidArgumentError(f"std has to be finite and ≥ 0, got {shown(entries.tolist())}")
+        self.std: float | list[Tensor] = float(values[0]) if single else values
 
     @classmethod
     def relative(
         cls,
         policy: GMRPolicy,
-        x0: Tensor,
+        x0: Array,
         n_steps: int,
         dt: float,
         speed: float = 0.12,
         *,
         stiffness: float = 0.2,
-        goal: Tensor | None = None,
+        goal: Array | None = None,
     ) -> Gaussian:
         r"""One standard deviation for all entries of A and one for all of b, in shares of the motion that `policy` makes now.
 

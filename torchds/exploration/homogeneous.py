@@ -12,6 +12,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from torchds.arrays import Array, like, number
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.shares import motion_size
@@ -55,12 +56,13 @@ class Homogeneous(Exploration):
         mean_speed: float = 0.1,
         rule: Rule = "moment",
         *,
-        direction: Tensor | None = None,
+        direction: Array | None = None,
         mean_stiffness: float = 0.0,
     ) -> None:
-        for name, value in {"mean_speed": mean_speed, "mean_stiffness": mean_stiffness}.items():
-            if not (math.isfinite(value) and value >= 0):
-                raise InvalidArgumentError(f"{name} has to be finite and ≥ 0, got {value}")
+        sizes = {"mean_speed": mean_speed, "mean_stiffness": mean_stiffness}
+        sizes = {
+            name: number(name, value, "finite and ≥ 0", lambda n: 0 <= n < math.inf) for name, value in sizes.items()
+        }
         if rule not in get_args(Rule):
             raise InvalidArgumentError(f"rule has to be one of {', '.join(map(repr, get_args(Rule)))}, got {rule!r}")
         if rule == "printed" and policy.output_dim != policy.input_dim:
@@ -68,22 +70,23 @@ class Homogeneous(Exploration):
                 f"rule='printed' pairs outputs with inputs; this policy has {policy.output_dim} and {policy.input_dim}"
             )
         if direction is not None:
+            direction = like("direction", direction, policy.means)
             fits = direction.shape == (policy.output_dim,) and bool(direction.isfinite().all())
             if not fits or (direction < 0).any() or not direction.any():
                 raise InvalidArgumentError(
                     f"direction has to be {policy.output_dim} numbers ≥ 0, one of them positive; got {direction}"
                 )
         self.policy = policy
-        self.mean_speed = mean_speed
+        self.mean_speed = sizes["mean_speed"]
         self.rule = rule
-        self.direction = direction
-        self.mean_stiffness = mean_stiffness
+        self.direction: Tensor | None = direction
+        self.mean_stiffness = sizes["mean_stiffness"]
 
     @classmethod
     def relative(
         cls,
         policy: GMRPolicy,
-        x0: Tensor,
+        x0: Array,
         n_steps: int,
         dt: float,
         speed: float = 0.12,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchds.arrays import Array, beside
 from torchds.policy import GMRPolicy
 from torchds.rollouts import rollout
 
@@ -32,7 +33,7 @@ class MotionSize(NamedTuple):
 
 
 @torch.no_grad()
-def motion_size(policy: GMRPolicy, x0: Tensor, n_steps: int, dt: float, goal: Tensor | None = None) -> MotionSize:
+def motion_size(policy: GMRPolicy, x0: Array, n_steps: int, dt: float, goal: Array | None = None) -> MotionSize:
     """Roll the policy out once and measure the motion.
 
     Args:
@@ -46,7 +47,7 @@ def motion_size(policy: GMRPolicy, x0: Tensor, n_steps: int, dt: float, goal: Te
     path = rollout(policy, x0, n_steps, dt)
     # Of the places and not of the starts: (O,)
     variances = (dt * path.v).cumsum(-2).var(-2).reshape(-1, policy.output_dim).mean(0)
-    away = path.inputs if goal is None else path.inputs - goal.to(path.inputs)
+    away = path.inputs if goal is None else path.inputs - beside("goal", goal, path.inputs, "(D,)")
     return MotionSize(
         extent=torch.cat([variances[:D].sum().expand(D), variances[D:]]).sqrt(),
         distance=float(away.square().sum(-1).mean().sqrt()),

@@ -5,13 +5,14 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import shown
+from torchds.arrays import Array, beside, number, real, shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.policy import GMRPolicy
@@ -78,8 +79,8 @@ class Stable(Exploration):
         self,
         policy: GMRPolicy,
         raw: Exploration,
-        goal: Tensor,
-        P: Tensor | None = None,
+        goal: Array,
+        P: Array | None = None,
         *,
         eta: Eta = "closed",
         shrink: Shrink = "all",
@@ -88,15 +89,14 @@ class Stable(Exploration):
         for name, value, allowed in (("eta", eta, get_args(Eta)), ("shrink", shrink, get_args(Shrink))):
             if value not in allowed:
                 raise InvalidArgumentError(f"{name} has to be one of {', '.join(map(repr, allowed))}, got {value!r}")
-        if not 0 < margin < float("inf"):
-            raise InvalidArgumentError(f"margin has to be finite and positive, got {margin}")
+        margin = number("margin", margin, "finite and positive", lambda rate: 0 < rate < math.inf)
         if not isinstance(raw, Exploration):
             raise InvalidArgumentError(f"raw has to be an exploration, got {raw!r}; use Gaussian({raw!r}) for a number")
         policy.certificate(goal, P)  # refuses shapes and a P that do not fit
         self.policy = policy
         self.raw = raw
-        self.goal = goal
-        self.P = P
+        self.goal: Tensor = real("goal", goal)
+        self.P: Tensor | None = None if P is None else real("P", P)
         self.eta = eta
         self.shrink = shrink
         self.margin = margin
@@ -109,7 +109,8 @@ class Stable(Exploration):
         self._check_tie()
         self.raw.check(parameters)
         certificate = self.policy.certificate(self.goal, self.P)
-        size = self.policy.b.detach().abs().amax() + self.policy.A.detach().abs().amax() * self.goal.abs().amax()
+        A, b = self.policy.A.detach(), self.policy.b.detach()
+        size = b.abs().amax() + A.abs().amax() * self.goal.to(A).abs().amax()
         if (apart := certificate.offset.amax()) > 1e3 * torch.finfo(size.dtype).eps * size:
             raise InvalidArgumentError(
                 f"b differs from −A x* by up to {apart:.2g}: the policy does not rest at the goal {self.goal.tolist()}; give "
@@ -122,7 +123,6 @@ class Stable(Exploration):
                 f"the policy is not stable: {largest:.3g} is the largest eigenvalue of the symmetric part of A, and all have "
                 "to be negative; give the P of its fit, fit one with torchds.fit_stable, or use shrink='none'"
             )
-        A = self.policy.A.detach()
         blur = resolution(A.double(), None if self.P is None else self.P.double().unsqueeze(-3), A.dtype)
         if (certificate.eigenvalues >= -blur).any():
             raise InvalidArgumentError(
@@ -194,7 +194,7 @@ class Stable(Exploration):
 
     @staticmethod
     @torch.no_grad()
-    def shrinkage(A: Tensor, S_noise: Tensor, P: Tensor | None = None, *, margin: float | Tensor = 0.0) -> Tensor:
+    def shrinkage(A: Array, S_noise: Array, P: Array | None = None, *, margin: float | Array = 0.0) -> Tensor:
         r"""The largest η in [0, 1] for which A + η S_noise is stable with the margin, in closed form.
 
         With W = −½ (P A + Aᵀ P) − margin P ≻ 0 and S = ½ (P S_noise + S_noiseᵀ P),
@@ -210,10 +210,13 @@ class Stable(Exploration):
         Returns:
             `(...)`; zero where A itself does not have the margin.
         """
-        lever = torch.eye(A.shape[-1], dtype=A.dtype, device=A.device) if P is None else P.to(A)
-        margin = torch.as_tensor(margin, dtype=A.dtype, device=A.device)[..., None, None]
-        N, S = (0.5 * (lever @ M + M.mT @ lever) for M in (A, S_noise))
-        values, vectors = torch.linalg.eigh(-N - margin * lever)
+        A = real("A", A, "(..., D, D)")
+        E = beside("S_noise", S_noise, A, "(..., D, D)", last=2)
+        eye = torch.eye(A.shape[-1], dtype=A.dtype, device=A.device)
+        lever = eye if P is None else beside("P", P, A, "(..., D, D)", last=2)
+        rate = beside("margin", margin, A[..., 0, 0], "a number or (...)", last=0)[..., None, None]
+        N, S = (0.5 * (lever @ M + M.mT @ lever) for M in (A, E))
+        values, vectors = torch.linalg.eigh(-N - rate * lever)
         tiny = torch.finfo(A.dtype).eps * torch.linalg.matrix_norm(N).unsqueeze(-1) + torch.finfo(A.dtype).tiny
         root = vectors * values.clamp_min(tiny).rsqrt().unsqueeze(-2)  # W⁻¹ = root rootᵀ
         steepest = torch.linalg.eigvalsh(root.mT @ S @ root)[..., -1]

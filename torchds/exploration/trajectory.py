@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import count, shown
+from torchds.arrays import Array, beside, count, number, real, shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous, chi_mean
@@ -35,9 +35,10 @@ class Coordinates(NamedTuple):
     center: Tensor
     factor: Tensor
 
-    def theta(self, z: Tensor) -> Tensor:
+    def theta(self, z: Array) -> Tensor:
         """The parameters `(*batch, P)` at `z` `(*batch, P)`."""
-        return self.center + (self.factor @ z.unsqueeze(-1)).squeeze(-1)
+        steps = beside("z", z, self.center, "(*batch, P)")
+        return self.center + (self.factor @ steps.unsqueeze(-1)).squeeze(-1)
 
 
 class TrajectorySpace(Exploration):
@@ -86,10 +87,10 @@ class TrajectorySpace(Exploration):
     def __init__(
         self,
         policy: GMRPolicy,
-        x0: Tensor,
+        x0: Array,
         n_steps: int,
         dt: float,
-        spread: float | Tensor | Sequence[float],
+        spread: float | Array,
         *,
         stiffness_spread: float | None = None,
         mean_speed: float = 0.1,
@@ -97,22 +98,25 @@ class TrajectorySpace(Exploration):
         widening: float = 3.0,
         damping: float = 1e-2,
         refresh: int = 1,
-        goal: Tensor | None = None,
+        goal: Array | None = None,
     ) -> None:
         for name, value in {"widening": widening, "mean_speed": mean_speed}.items():
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidArgumentError(f"{name} has to be finite and positive, got {value}")
-        each = torch.as_tensor(spread, dtype=torch.float64)
+            number(name, value, "finite and positive", lambda n: 0 < n < math.inf)
+        each = real("spread", spread).double()
         if each.shape not in ((), (policy.output_dim,)) or not (each.isfinite() & (each > 0)).all():
             raise InvalidArgumentError(
                 f"spread has to be finite and positive, one number or ({policy.output_dim},), got {spread}"
             )
         if not damping >= 0 or refresh < 1:
             raise InvalidArgumentError(f"damping has to be ≥ 0 and refresh at least 1, got {damping} and {refresh}")
-        if goal is not None and goal.shape != (policy.input_dim,):
-            raise InvalidArgumentError(f"goal has to be ({policy.input_dim},), got {tuple(goal.shape)}")
-        self.policy, self.goal = policy, goal
-        self.x0, self.n_steps, self.dt = x0, n_steps, dt
+        x_star = None if goal is None else real("goal", goal)
+        if x_star is not None and x_star.shape != (policy.input_dim,):
+            raise InvalidArgumentError(f"goal has to be ({policy.input_dim},), got {tuple(x_star.shape)}")
+        self.policy, self.goal = policy, x_star
+        self.x0 = real("x0", x0, "(*points, D)")
+        if self.x0.shape[-1] != policy.input_dim:
+            raise InvalidArgumentError(f"x0 has to be (*points, {policy.input_dim}), got {tuple(self.x0.shape)}")
+        self.n_steps, self.dt = count("n_steps", n_steps, 1), dt
         self.spread, self.widening, self.damping = each, widening, damping
         self.refresh = refresh
         if policy.stiffness_dim and not ((stiffness_spread or 0) > 0 and mean_stiffness > 0):
@@ -130,14 +134,14 @@ class TrajectorySpace(Exploration):
     def relative(
         cls,
         policy: GMRPolicy,
-        x0: Tensor,
+        x0: Array,
         n_steps: int,
         dt: float,
         spread: float = 0.05,
         *,
         speed: float = 0.12,
         stiffness: float = 0.2,
-        goal: Tensor | None = None,
+        goal: Array | None = None,
     ) -> TrajectorySpace:
         """The same in shares of the motion that `policy` makes now, so that one setting does for many tasks.
 
@@ -237,7 +241,7 @@ class TrajectorySpace(Exploration):
             return torch.diag_embed(policy.join(std))
         # |x − x*| under each Gaussian, root mean square; one standard deviation for all of A, since noise that is as fast near
         # the goal as elsewhere would be large noise of the slopes there.
-        away = (policy.means - self.goal).square() + policy.covariances.diagonal(dim1=-2, dim2=-1)
+        away = (policy.means - self.goal.to(policy.means)).square() + policy.covariances.diagonal(dim1=-2, dim2=-1)
         distance = (policy.priors * away.sum(-1).sqrt()).sum(-1)  # (*gate_batch)
         speed = self._homogeneous.mean_speed / chi_mean(policy.output_dim)
         std["A"] = (speed / distance)[..., None, None, None].expand_as(std["A"])

@@ -7,18 +7,19 @@ Stability: stable.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
-from torchds.arrays import shown
+from torchds.arrays import Array, beside, number, real, shown
 from torchds.errors import InvalidArgumentError
 
 Temperature = Literal["range", "median", "capped"]
 
 
-def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperature = "range") -> Tensor:
+def cost_weights(costs: Array, eliteness: float = 10.0, temperature: Temperature = "range") -> Tensor:
     """The weights of roll-outs, softmax(−S/λ) over axis 0 (lines 19-22 of Algorithm 1).
 
     Args:
@@ -37,11 +38,12 @@ def cost_weights(costs: Tensor, eliteness: float = 10.0, temperature: Temperatur
     Raises:
         InvalidArgumentError: an unknown temperature.
     """
+    eliteness = number("eliteness", eliteness, "finite and ≥ 0", lambda h: 0 <= h < math.inf)
     exponent = -eliteness * relative_costs(costs, temperature)
     return torch.nan_to_num(torch.softmax(exponent, 0), nan=0.0)
 
 
-def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
+def relative_costs(costs: Array, temperature: Temperature = "range") -> Tensor:
     """(S − min S)/spread, in which the unit of the costs cancels; times −h it is the exponent of `cost_weights`.
 
     Args:
@@ -55,6 +57,7 @@ def relative_costs(costs: Tensor, temperature: Temperature = "range") -> Tensor:
         InvalidArgumentError: an unknown temperature.
     """
     check_temperature(temperature)
+    costs = _costs(costs)
     valid = costs.isfinite()
     low = torch.where(valid, costs, torch.inf).amin(0)
     high = torch.where(valid, costs, -torch.inf).amax(0)
@@ -80,12 +83,13 @@ def check_temperature(temperature: Any) -> None:
         raise InvalidArgumentError(f"temperature has to be 'range', 'median' or 'capped', got {shown(temperature)}")
 
 
-def informative(costs: Tensor) -> Tensor:
+def informative(costs: Array) -> Tensor:
     """`(...)` False where no roll-out is better than another: N > 1 costs `(N, ...)` are all finite and equal."""
+    costs = _costs(costs)
     return (costs != costs[:1]).any(0) | ~costs.isfinite().all(0) | (len(costs) == 1)
 
 
-def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float = 1e-3) -> Tensor:
+def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 1e-3) -> Tensor:
     r"""What untried policies will cost, judged by similar ones: the mean of Gaussian process regression.
 
     .. math:: \hat S(z) = k(z, Z) (k(Z, Z) + noise\, I)^{-1} S, \qquad k(z, z') = \exp(-|z - z'|^2 / (2 ℓ^2)),
@@ -103,7 +107,11 @@ def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float
     Returns:
         `(n, *batch)` predictions, between about 0 (the best so far) and 1 less their mean.
     """
-    known = relative_costs(costs, "capped").clamp(max=1.0)
+    tried = real("tried", tried, "(M, *batch, F)")
+    candidates = beside("candidates", candidates, tried[:1], "(n, *batch, F)")
+    known = relative_costs(beside("costs", costs, tried[..., 0], "(M, *batch)", last=tried.ndim - 1), "capped").clamp(
+        max=1.0
+    )
     known = (known - known.mean(0)).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
     Z, z = tried.movedim(0, -2), candidates.movedim(0, -2)
     squares = torch.cdist(Z, Z).square()  # (*batch, M, M)
@@ -116,7 +124,7 @@ def predict_costs(tried: Tensor, costs: Tensor, candidates: Tensor, noise: float
     return (across @ weights).squeeze(-1).movedim(-1, 0)
 
 
-def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
+def cost_to_go(costs: Array, upsilon: Array) -> Tensor:
     """S_t = Σ_{j ≥ t} q_j + ½ Σ_{j > t} Υ_j: what a roll-out still costs from step t on, as PI² weighs it.
 
     Args:
@@ -126,17 +134,19 @@ def cost_to_go(costs: Tensor, upsilon: Tensor) -> Tensor:
     Returns:
         `(..., T)`, infinite throughout a roll-out that failed anywhere.
     """
+    costs = real("costs", costs, "(..., T)")
+    upsilon = beside("upsilon", upsilon, costs, "(..., T)")
     remaining = (costs + 0.5 * upsilon).flip(-1).cumsum(-1).flip(-1) - 0.5 * upsilon
     return torch.where(remaining[..., :1].isfinite(), remaining, torch.inf)
 
 
 def time_averaged_update(
-    weights: Tensor,
-    noise: Tensor,
-    features: Tensor,
-    gating: Tensor | None,
+    weights: Array,
+    noise: Array,
+    features: Array,
+    gating: Array | None,
     projected: bool = True,
-    free: Tensor | None = None,
+    free: Array | None = None,
 ) -> Tensor:
     """δθ in rows: the updates Σ_i P_i M ε_i of all steps, averaged with the weights T − t (times the gating), as PI² does.
 
@@ -154,17 +164,33 @@ def time_averaged_update(
     Returns:
         `(*batch, O, F)`, one row per output.
     """
-    T = features.shape[-2]
-    late = torch.arange(T, 0, -1, dtype=features.dtype, device=features.device).unsqueeze(-1)  # T − t, (T, 1)
-    share = late.expand(features.shape[1:]) if gating is None else late * gating.mean(0)  # (*batch, T, F)
+    g = real("features", features, "(N, *batch, T, F)")
+    P = beside("weights", weights, g[..., 0], "(N, *batch, T)")
+    epsilon = beside("noise", noise, g[..., :1, :], "(N, *batch, O, F)")
+    T = g.shape[-2]
+    late = torch.arange(T, 0, -1, dtype=g.dtype, device=g.device).unsqueeze(-1)  # T − t, (T, 1)
+    share = late.expand(g.shape[1:])  # (*batch, T, F)
+    if gating is not None:
+        share = late * beside("gating", gating, g, "(N, *batch, T, F)", last=2).mean(0)
     share = share / share.sum(-2, keepdim=True).clamp_min(torch.finfo(share.dtype).tiny)
     if not projected:
-        return ((weights.unsqueeze(-2) @ share) * noise).sum(0)
-    tiny = torch.finfo(features.dtype).tiny
+        return ((P.unsqueeze(-2) @ share) * epsilon).sum(0)
+    tiny = torch.finfo(g.dtype).tiny
     if free is None:
-        size = features.square().sum(-1, keepdim=True).clamp_min(tiny)
-        along = noise @ (features / size).mT  # (N, *batch, O, T): g·ε/|g|²
-        return ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)
-    size = free @ features.square().mT  # |g|² of each row, (N, *batch, O, T)
-    along = (noise * free) @ features.mT / size.clamp_min(tiny)
-    return free * ((weights.unsqueeze(-2) * along) @ (share * features)).sum(0)
+        size = g.square().sum(-1, keepdim=True).clamp_min(tiny)
+        along = epsilon @ (g / size).mT  # (N, *batch, O, T): g·ε/|g|²
+        return ((P.unsqueeze(-2) * along) @ (share * g)).sum(0)
+    mask = beside("free", free, epsilon, "(*batch, O, F)", last=2)
+    size = mask @ g.square().mT  # |g|² of each row, (N, *batch, O, T)
+    along = (epsilon * mask) @ g.mT / size.clamp_min(tiny)
+    return mask * ((P.unsqueeze(-2) * along) @ (share * g)).sum(0)
+
+
+def _costs(costs: Array) -> Tensor:
+    """Costs `(N, ...)` of at least one roll-out."""
+    costs = real("costs", costs, "(N, ...)")
+    if not costs.ndim or not len(costs):
+        raise InvalidArgumentError(
+            f"costs have to be (N, ...) of at least one roll-out, got shape {tuple(costs.shape)}"
+        )
+    return costs
