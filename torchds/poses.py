@@ -30,7 +30,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from torchds.arrays import Array, matching, tensor, tensors
+from torchds.arrays import Array, beside, matching, real, tensor, tensors
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError, UnknownNameError
 
@@ -94,12 +94,12 @@ def last_orientation(quaternion: Sequence[Array] | Tensor, *, order: Order = "wx
         order: where the scalar stands.
     """
     ends = torch.stack([_scalar_first(value[-1], order) for value in tensors("quaternion", quaternion)])
-    ends = ends / torch.linalg.vector_norm(ends, dim=-1, keepdim=True)
+    ends = _unit(ends)
     mean: Tensor = torch.linalg.eigh(ends.mT @ ends).eigenvectors[:, -1]  # the largest Σ (q·qᵢ)², whatever the signs
     return _in_order(_upper(mean), order)
 
 
-def rotation_vector(quaternion: Tensor, goal: Tensor, *, order: Order = "wxyz") -> Tensor:
+def rotation_vector(quaternion: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
     """r `(..., 3)` of orientations `(..., 4)` in the frame of the goal [rad], of length at most π.
 
     Args:
@@ -107,10 +107,11 @@ def rotation_vector(quaternion: Tensor, goal: Tensor, *, order: Order = "wxyz") 
         goal: `(4,)` or `(..., 4)`.
         order: where the scalar of both stands.
     """
-    return _logarithm(_upper(_relative(_scalar_first(quaternion, order), _scalar_first(goal, order))))
+    q = _unit(_scalar_first(real("quaternion", quaternion), order))
+    return _logarithm(_upper(_relative(q, _goal(goal, q, order))))
 
 
-def quaternion(x: Tensor, goal: Tensor, *, order: Order = "wxyz") -> Tensor:
+def quaternion(x: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
     """The unit quaternion `(..., 4)` of a state.
 
     Args:
@@ -121,10 +122,10 @@ def quaternion(x: Tensor, goal: Tensor, *, order: Order = "wxyz") -> Tensor:
     r = _rotation_part("x", x)
     angle = torch.linalg.vector_norm(r, dim=-1, keepdim=True)
     turned = torch.cat([torch.cos(angle / 2), 0.5 * torch.sinc(angle / (2 * math.pi)) * r], -1)
-    return _in_order(_product(_unit(_scalar_first(goal, order)), turned), order)
+    return _in_order(_product(_goal(goal, turned, order), turned), order)
 
 
-def angular_velocity(x: Tensor, v: Tensor, goal: Tensor, *, order: Order = "wxyz") -> Tensor:
+def angular_velocity(x: Array, v: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
     r"""ω `(..., 3)` in the base frame [rad/s], exactly that of a motion in r.
 
     .. math:: ω = R^* \left(\dot r + \frac{1-\cos θ}{θ^2} r × \dot r + \frac{θ-\sin θ}{θ^3} r × (r × \dot r)\right)
@@ -137,7 +138,8 @@ def angular_velocity(x: Tensor, v: Tensor, goal: Tensor, *, order: Order = "wxyz
         goal: `(4,)` or `(..., 4)`.
         order: where the scalar of `goal` stands.
     """
-    r, rate = _rotation_part("x", x), _rotation_part("v", v)
+    r = _rotation_part("x", x)
+    rate = beside("v", _rotation_part("v", v), r, "(..., D)")
     θ = torch.linalg.vector_norm(r, dim=-1, keepdim=True)
     once = _cross(r, rate)
     near = θ < 0.3  # where θ − sin θ loses digits, its series has them all
@@ -146,7 +148,7 @@ def angular_velocity(x: Tensor, v: Tensor, goal: Tensor, *, order: Order = "wxyz
     series = 1 / 6 - s / 120 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110)))
     second = torch.where(near, series, (far - torch.sin(far)) / far**3)
     ω = rate + 0.5 * torch.sinc(θ / (2 * math.pi)).square() * once + second * _cross(r, once)
-    return _rotated(_unit(_scalar_first(goal, order)), ω)
+    return _rotated(_goal(goal, torch.cat([ω, θ], -1), order), ω)
 
 
 # ------------------------------------------------------------------ quaternions, the scalar first
@@ -221,7 +223,13 @@ def _unit(q: Tensor) -> Tensor:
     return q / norm
 
 
-def _rotation_part(name: str, x: Tensor) -> Tensor:
+def _goal(goal: Array, q: Tensor, order: Order) -> Tensor:
+    """q* of unit norm, the scalar first, for orientations or what has their shape `(..., 4)`."""
+    return _unit(_scalar_first(beside("goal", goal, q, "(4,) or (..., 4)"), order))
+
+
+def _rotation_part(name: str, x: Array) -> Tensor:
+    x = real(name, x, "(..., D)")
     if x.shape[-1] < 3:
         raise InvalidArgumentError(f"{name} has to end with the three of the rotation, got shape {tuple(x.shape)}")
     return x[..., -3:]

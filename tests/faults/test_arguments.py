@@ -14,7 +14,7 @@ from torch import nn
 
 import torchds
 from tests.faults.test_optimizer import make_policy
-from torchds import costs, metrics, stability
+from torchds import costs, metrics, poses, stability
 from torchds.cartesian import CartesianImpedance, PlaneReference
 from torchds.errors import TorchdsError
 from torchds.exploration import Gaussian, Homogeneous, Stable, TrajectorySpace
@@ -43,6 +43,9 @@ GATE = POLICY.priors, POLICY.means, POLICY.covariances
 MIXTURE = torchds.GaussianMixture(POLICY.priors, randn(2, 4), torch.eye(4, dtype=torch.float64).repeat(2, 1, 1))
 DEMOS = torchds.Demonstrations(
     [torch.stack([torch.linspace(1, 0, 9) ** 2, torch.linspace(0, 1, 9)], -1).double()], dt=0.1
+)
+TURNING = nn.functional.normalize(
+    torch.stack([torch.ones(9), *(k * torch.linspace(1, 0, 9) for k in (1, 2, 3))], -1).double()
 )
 MOTION = torchds.rollout(STIFF, X0, T, DT)
 START = torchds.fit_mixtures(DEMOS, 1, goal=GOAL)
@@ -250,6 +253,14 @@ CASES = {
         lambda **given: list(torchds.Demonstrations.from_samples(**{name: [value] for name, value in given.items()})),
         {"times": DT * torch.arange(9).double(), "positions": DEMOS[0].x, "velocities": DEMOS[0].v},
     ),
+    "poses.rotation_vector": (poses.rotation_vector, {"quaternion": randn(3, 4), "goal": randn(4, seed=3)}),
+    "poses.quaternion": (poses.quaternion, {"x": randn(3, 6), "goal": randn(4)}),
+    "poses.angular_velocity": (poses.angular_velocity, {"x": randn(3, 6), "v": randn(3, 6, seed=3), "goal": randn(4)}),
+    "poses.last_orientation": (lambda quaternion: poses.last_orientation([quaternion]), {"quaternion": TURNING}),
+    "poses.from_poses": (
+        lambda position, quaternion, goal: list(poses.from_poses([position], [quaternion], 0.1, goal)),
+        {"position": randn(9, 3), "quaternion": TURNING, "goal": TURNING[-1]},
+    ),
     "preparation.Preparation.shift_to_goal": (lambda goal: list(DEMOS.shift_to_goal(goal)), {"goal": GOAL}),
     "preparation.Preparation.with_stiffness": (lambda value: list(DEMOS.with_stiffness(value)), {"value": GOAL + 9}),
 }
@@ -276,10 +287,14 @@ ANY_LENGTH = {
     ("mixture.GaussianMixture.condition", "x"), ("mixture.GaussianMixture.fit", "data"), ("mixture.joint_samples", "data"),
     ("optim.functional.cost_weights", "costs"), ("optim.functional.relative_costs", "costs"),
     ("optim.functional.informative", "costs"), ("mending.Mending.from_samples", "positions"),
-    ("demonstrations.Demonstrations", "stiffness"), ("preparation.Preparation.with_stiffness", "value"),
+    ("demonstrations.Demonstrations", "stiffness"), ("poses.quaternion", "x"), ("poses.angular_velocity", "x"),
+    ("poses.angular_velocity", "v"), ("preparation.Preparation.with_stiffness", "value"),
 }  # fmt: skip
 OPTIONAL = {"P", "stiffness_A", "stiffness_b", "direction", "torque_limit", "gating", "free", "velocities"}
-OPTIONAL_IN = {"goal": ("Gaussian", "TrajectorySpace", "fit", "Preparation", "save"), "v": ("Demonstrations",)}
+OPTIONAL_IN = {
+    "goal": ("Gaussian", "TrajectorySpace", "fit", "Preparation", "save", "from_poses"),
+    "v": ("Demonstrations",),
+}
 OPTIONAL_IN |= {"stiffness": ("from_mixture", "from_demonstrations", "ImpedanceControlled", "Demonstrations")}
 
 
