@@ -31,42 +31,57 @@ Example:
     True
 """
 
-from torchds import costs as costs
+from typing import Any
+
 from torchds import errors as errors
-from torchds import exploration as exploration
-from torchds import impedance as impedance
-from torchds import metrics as metrics
-from torchds import optim as optim
-from torchds import plants as plants
-from torchds import poses as poses
-from torchds import stability as stability
-from torchds import visits as visits
-from torchds.demonstrations import Demonstration as Demonstration
-from torchds.demonstrations import Demonstrations as Demonstrations
-from torchds.fits import StableFit as StableFit
-from torchds.fits import fit_stable as fit_stable
-from torchds.mixture import Conditional as Conditional
-from torchds.mixture import GaussianMixture as GaussianMixture
-from torchds.policy import GMRPolicy as GMRPolicy
-from torchds.recordings import load as load
-from torchds.recordings import load_csv as load_csv
-from torchds.recordings import load_lasa as load_lasa
-from torchds.recordings import load_mat as load_mat
-from torchds.recordings import load_npz as load_npz
-from torchds.recruiting import most_wanted as most_wanted
-from torchds.recruiting import recruit as recruit
-from torchds.rollouts import Rollout as Rollout
-from torchds.rollouts import rollout as rollout
-from torchds.saving import load_policy as load_policy
-from torchds.starts import fit_mixtures as fit_mixtures
-from torchds.stops import Bounds as Bounds
-from torchds.stops import Walls as Walls
+from torchds.control import Controller as Controller
+
+try:
+    import torch as _torch  # noqa: F401
+except ModuleNotFoundError:  # the computer of a robot: the controller needs numpy alone
+
+    def __getattr__(name: str) -> Any:
+        raise AttributeError(
+            f"torchds.{name} needs torch, which is not installed; without it there is torchds.Controller"
+        )
+
+else:
+    from torchds import costs as costs
+    from torchds import exploration as exploration
+    from torchds import impedance as impedance
+    from torchds import metrics as metrics
+    from torchds import optim as optim
+    from torchds import plants as plants
+    from torchds import poses as poses
+    from torchds import stability as stability
+    from torchds import visits as visits
+    from torchds.demonstrations import Demonstration as Demonstration
+    from torchds.demonstrations import Demonstrations as Demonstrations
+    from torchds.fits import StableFit as StableFit
+    from torchds.fits import fit_stable as fit_stable
+    from torchds.mixture import Conditional as Conditional
+    from torchds.mixture import GaussianMixture as GaussianMixture
+    from torchds.policy import GMRPolicy as GMRPolicy
+    from torchds.recordings import load as load
+    from torchds.recordings import load_csv as load_csv
+    from torchds.recordings import load_lasa as load_lasa
+    from torchds.recordings import load_mat as load_mat
+    from torchds.recordings import load_npz as load_npz
+    from torchds.recruiting import most_wanted as most_wanted
+    from torchds.recruiting import recruit as recruit
+    from torchds.rollouts import Rollout as Rollout
+    from torchds.rollouts import rollout as rollout
+    from torchds.saving import load_policy as load_policy
+    from torchds.starts import fit_mixtures as fit_mixtures
+    from torchds.stops import Bounds as Bounds
+    from torchds.stops import Walls as Walls
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Bounds",
     "Conditional",
+    "Controller",
     "Demonstration",
     "Demonstrations",
     "GMRPolicy",

@@ -25,6 +25,7 @@ from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
 from train.hardware.command import Hardware
+from train.hardware.latency import Latency
 from train.lasa.command import BenchmarkLasa
 from train.learning.run import run
 from train.options import RunOptions, options_class
@@ -46,6 +47,7 @@ def main() -> int:
         "deep_rl": DeepRL,
         "figures": Figures,
         "hardware": Hardware,
+        "latency": Latency,
         "view": View,
         "compare": Compare,
         "beyond": Beyond,

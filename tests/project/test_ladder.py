@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[2]
 LIBRARY = [
     {"errors"},
     {"archives"},
+    {"control"},
     {"kernels", "visits", "arrays", "em", "files", "findings", "locks"},
     {"preparation", "mending", "policy_file"},
     {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},

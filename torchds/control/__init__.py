@@ -1,0 +1,10 @@
+"""A policy in a control loop, with numpy alone: no module of this room imports torch.
+
+Stability: stable.
+"""
+
+from torchds.control.controller import Controller as Controller
+from torchds.control.plan import Cut as Cut
+from torchds.control.tick import Tick as Tick
+
+__all__ = ["Controller", "Cut", "Tick"]

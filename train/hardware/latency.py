@@ -1,0 +1,73 @@
+"""How long a policy takes in a control loop: `python -m train latency`."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchds import Controller, GMRPolicy
+from train.folder import versions
+from train.tables import markdown
+
+SIZES = ((2, 4), (6, 10))
+"""D and K."""
+
+
+@dataclass
+class Latency:
+    """Time one evaluation of a policy in every form in which it can leave the computer, on one core."""
+
+    ticks: int = 20_000
+    """How often each is timed."""
+
+    def main(self) -> None:
+        """Print a table: median and 99th percentile for each form and size, in microseconds."""
+        print(", ".join(f"{name} {value}" for name, value in versions().items()))
+        header = ["form", *(f"D = {D}, K = {K}: {what} [µs]" for D, K in SIZES for what in ("median", "99 %"))]
+        columns = [{name: self.times(call) for name, call in forms(policy(D, K))} for D, K in SIZES]
+        rows = [[name, *(f"{value:.1f}" for column in columns for value in column[name])] for name in columns[0]]
+        print(markdown(header, rows, "l" + "r" * (len(header) - 1)))
+
+    def times(self, call: Callable[[], Any]) -> tuple[float, float]:
+        """Median and 99th percentile of a call [µs]."""
+        seconds = np.empty(self.ticks)
+        for _ in range(100):
+            call()
+        for i in range(self.ticks):
+            began = time.perf_counter()
+            call()
+            seconds[i] = time.perf_counter() - began
+        middle, high = 1e6 * np.quantile(seconds, [0.5, 0.99])
+        return float(middle), float(high)
+
+
+def policy(D: int, K: int) -> GMRPolicy:
+    """A stable policy of D dimensions and K Gaussians."""
+    draw = functools.partial(torch.randn, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    eye = torch.eye(D, dtype=torch.float64)
+    return GMRPolicy(torch.ones(K) / K, draw(K, D), eye.repeat(K, 1, 1), 0.1 * draw(K, D, D) - eye, torch.zeros(K, D))
+
+
+def forms(policy: GMRPolicy) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """The calls of one tick by their names; what is not installed is left out."""
+    x = np.ones(policy.input_dim)
+    bounds: dict[str, Any] = {"max_speed": 1.0, "max_acceleration": 5.0, "workspace": (-9.0, 9.0)}
+    for name, compiled in (("numpy", False), ("compiled", True)):
+        if compiled and importlib.util.find_spec("numba") is None:
+            continue
+        for what, options in (("", {}), (", within bounds", bounds)):
+            controller = Controller(policy, 1e-3, compiled=compiled, **options)
+            controller.reset(x)
+            yield f"`Controller`, {name}{what}", controller.step
+        controller = Controller(policy, 1e-3, feedback=True, compiled=compiled)
+        controller.reset(x)
+        yield f"`Controller`, {name}, feedback", functools.partial(controller.step, x)
+    state = torch.ones(policy.input_dim, dtype=torch.float64)
+    yield "`policy(x)`, torch without gradients", torch.no_grad()(functools.partial(policy, state))
