@@ -17,7 +17,7 @@ from torchds.control.plan import Plan
 def step(plan: Plan) -> Step:
     """See `torchds.control.plain.step`."""
     K, D, O, Q = plan.sizes
-    numbers, work = plan.numbers, np.empty(D + K)
+    numbers, work = plan.numbers, np.empty(D + K + D)
     call = _tick
 
     def tick(base: np.ndarray, before: np.ndarray, row: np.ndarray) -> int:
@@ -28,7 +28,7 @@ def step(plan: Plan) -> Step:
     return tick
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def _tick(numbers, K, D, O, Q, work, base, before, row):
     shift, low, high = 4, 4 + D, 4 + 2 * D
     center = 4 + 3 * D
@@ -39,12 +39,13 @@ def _tick(numbers, K, D, O, Q, work, base, before, row):
     highest = -np.inf
     for d in range(D):
         work[d] = base[d] - numbers[shift + d]
+        work[D + K + d] = work[d] - numbers[center + d]
     for k in range(K):
         square = 0.0
         for j in range(k * D, (k + 1) * D):
             z = numbers[offset + j]
             for d in range(D):
-                z += numbers[factors + j * D + d] * (work[d] - numbers[center + d])
+                z += numbers[factors + j * D + d] * work[D + K + d]
             square += z * z
         work[D + k] = numbers[log_scale + k] - 0.5 * square
         highest = max(highest, work[D + k])
