@@ -8,7 +8,7 @@ from torch import Tensor
 from tasks.base import Task, total
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError
-from torchds.rollouts import Moment, advance, begin, record
+from torchds.moments import Moment, advance, begin, record
 
 
 class Trials:

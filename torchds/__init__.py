@@ -51,6 +51,7 @@ else:
     from torchds import impedance as impedance
     from torchds import metrics as metrics
     from torchds import optim as optim
+    from torchds import passive as passive
     from torchds import plants as plants
     from torchds import poses as poses
     from torchds import stability as stability
@@ -104,6 +105,7 @@ __all__ = [
     "metrics",
     "most_wanted",
     "optim",
+    "passive",
     "plants",
     "poses",
     "recruit",

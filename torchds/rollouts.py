@@ -6,9 +6,8 @@ Stability: stable.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
@@ -17,7 +16,10 @@ from torchds import kernels, visits
 from torchds.arrays import Array, broadcast_shape, count, like, number, without_autocast
 from torchds.errors import InvalidArgumentError
 from torchds.kernels import Backend, Setting, Unfit, own
-from torchds.plants import Command, Plant
+from torchds.moments import Moment as Moment
+from torchds.moments import Rollout as Rollout
+from torchds.moments import advance, begin, record, seen
+from torchds.plants import Plant
 from torchds.stops import StopCondition
 
 Shift = Array | Callable[[float], Array]
@@ -50,49 +52,6 @@ class DynamicalSystem(visits.LinearPolicy, Protocol):
         """[ẋ; s] `(*batch, *points, O+Q)` from features and `rows`."""
 
 
-@dataclass(frozen=True)
-class Rollout:
-    """What happened along a roll-out.
-
-    Attributes:
-        x: `(*batch, *points, T+1, D)` states, the start first; of the plant where there is one.
-        v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests. With a plant, its velocities
-            at the ends of the steps, `(..., T, D)`.
-        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T reference states.
-        dt: time step [s].
-        resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
-        stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m], before any limits; what a plant applied is
-            `plant.stiffness`. None for a policy without stiffness.
-        reference: `(*batch, *points, T+1, D)` the motion that the policy generates; `x` itself without a plant.
-        inputs: `(*batch, *points, T, D)` what the policy saw: the first T reference states, less the shift.
-        plant: all that the plant went through (a `PointMassState` for a point mass), each field `(*batch, *points, T+1, ...)`;
-            None without a plant.
-    """
-
-    x: Tensor
-    v: Tensor
-    features: Tensor
-    dt: float
-    resting: Tensor | None
-    stiffness: Tensor | None
-    reference: Tensor
-    inputs: Tensor
-    plant: Any
-
-    @property
-    def gating(self) -> Tensor:
-        """h_k `(*batch, *points, T, K)` at the first T states."""
-        D = self.reference.shape[-1]
-        return self.features[..., D :: D + 1]
-
-    @property
-    def stopped(self) -> Tensor:
-        """`(*batch, *points)` True for the roll-outs that came to rest before the end."""
-        if self.resting is None:
-            return torch.zeros(self.x.shape[:-2], dtype=torch.bool, device=self.x.device)
-        return self.resting[..., -1]
-
-
 def rollout(
     policy: DynamicalSystem,
     x0: Array,
@@ -103,6 +62,7 @@ def rollout(
     stop: StopCondition | None = None,
     plant: Plant | None = None,
     shift: Shift | None = None,
+    feedback: bool = False,
     backend: Backend = "auto",
 ) -> Rollout:
     """Integrate ẋ = policy(x) from `x0` by Euler's method, x_{t+1} = x_t + ẋ_t dt (Eq. 4).
@@ -115,9 +75,11 @@ def rollout(
         dt: time step [s].
         starts: how the leading dimensions of `x0` are read.
         stop: a roll-out rests for good where this is True; see `torchds.stops`.
-        plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34).
+        plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34), but for `feedback`.
         shift: how far the whole field is moved, ẋ = policy(x − shift), also as a function of time: a motion that ends
             at x* then ends at x* + shift, and follows a target that moves (section 5.1).
+        feedback: whether the policy sees where the plant is, a feedback law: the reference of a step is then x + policy(x) dt
+            from the plant's x, at both of its ends. Without a plant it is the same motion.
         backend: "auto" for compiled code where there is some for all of this (`torchds.kernels`), else the eager loop, one
             tensor call a time step; "eager" or "fused" for that one. Their numbers are the same but for round-off.
 
@@ -146,13 +108,15 @@ def rollout(
     path = None
     if (wanted := kernels.wanted(backend)) != "eager":
         try:
+            if feedback and plant is not None:
+                raise Unfit("feedback from a plant needs the eager loop")
             path = _fused(policy, rows, x0, lead, n_steps, dt, stop, plant, shift)
         except Unfit as reason:
             if wanted == "fused":
                 raise kernels.cannot(reason) from None
     if path is None:
         with without_autocast(x0):
-            path = _eager(policy, rows, x0.expand(*lead, D), n_steps, dt, stop, plant, shift)
+            path = _eager(policy, rows, x0.expand(*lead, D), n_steps, dt, stop, plant, shift, feedback)
     visits.report(policy, path.features)
     return path
 
@@ -166,19 +130,21 @@ def _eager(
     stop: StopCondition | None,
     plant: Plant | None,
     shift: Shift | None,
+    feedback: bool = False,
 ) -> Rollout:
     """The definition of a roll-out, one tensor call a time step, from the starts `x` `(*batch, *points, D)`."""
     O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
     moments, features, stiffness, inputs = [now], [], [], []
     for i in range(n_steps):
-        if shift is None:
-            g = policy.features(now.x)
-        else:
-            inputs.append(now.x - _checked_shift(shift(i * dt) if callable(shift) else shift, now.x))
-            g = policy.features(inputs[-1])
+        x = seen(now) if feedback else now.x
+        if shift is not None:
+            x = x - _checked_shift(shift(i * dt) if callable(shift) else shift, x)
+        if shift is not None or feedback:
+            inputs.append(x)
+        g = policy.features(x)
         y = policy.outputs(g, rows)
         v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
-        now = advance(now, v, s, i * dt, dt, stop, plant)
+        now = advance(now, v, s, i * dt, dt, stop, plant, feedback)
         moments.append(now)
         features.append(g)
         if s is not None:
@@ -241,98 +207,6 @@ def _fused(
         stiffness=track.stiffness if Q else None,
         reference=track.reference,
         inputs=inputs if shift is None else inputs - shift.unsqueeze(-2),
-        plant=tracked,
-    )
-
-
-class Moment(NamedTuple):
-    """Where a roll-out is between two steps: all that the next one depends on.
-
-    Attributes:
-        x: `(*batch, *points, D)` reference position.
-        v: `(*batch, *points, O)` reference velocity of the step that led here; zero at the start.
-        resting: `(*batch, *points)` True where a stop condition holds it; None without one.
-        plant: the state of the plant; None without one.
-    """
-
-    x: Tensor
-    v: Tensor
-    resting: Tensor | None
-    plant: Any
-
-
-def begin(x: Tensor, n_velocities: int, stop: StopCondition | None = None, plant: Plant | None = None) -> Moment:
-    """At rest at the starts `x` `(*batch, *points, D)`, for a policy of `n_velocities`."""
-    return Moment(
-        x,
-        v=x.new_zeros(*x.shape[:-1], n_velocities),
-        resting=None if stop is None else torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device),
-        plant=None if plant is None else plant.reset(x),
-    )
-
-
-def advance(
-    now: Moment,
-    v: Tensor,
-    stiffness: Tensor | None,
-    t: float,
-    dt: float,
-    stop: StopCondition | None = None,
-    plant: Plant | None = None,
-) -> Moment:
-    """One step of Eq. 4, and of the plant that tracks it.
-
-    Args:
-        now: before the step.
-        v: `(*batch, *points, O)` the velocity that a policy gives.
-        stiffness: `(*batch, *points, Q)` the stiffness that it gives [N/m]; None for none.
-        t: time before the step [s].
-        dt: time step [s].
-        stop: as for `begin`; see `rollout`.
-        plant: as for `begin`; see `rollout`.
-    """
-    x, resting, state = torch.add(now.x, v[..., : now.x.shape[-1]], alpha=dt), now.resting, now.plant
-    if stop is not None and resting is not None:
-        resting = resting | stop(now.x, x)
-        keep = resting.unsqueeze(-1)
-        x, v = torch.where(keep, now.x, x), v.masked_fill(keep, 0.0)
-    if plant is not None:
-        state = plant.step(state, Command(now.x, x, now.v, v, stiffness, t, dt))
-    return Moment(x, v, resting, state)
-
-
-def record(
-    moments: Sequence[Moment],
-    features: Sequence[Tensor],
-    stiffness: Sequence[Tensor],
-    dt: float,
-    inputs: Sequence[Tensor] = (),
-) -> Rollout:
-    """The roll-out that T + 1 moments make, with what the policy saw and asked for in the T steps between them.
-
-    Args:
-        moments: T + 1 of them.
-        features: T of them, `(*batch, *points, K (D+1))` each.
-        stiffness: T of them, `(*batch, *points, Q)` each [N/m]; empty for a policy without.
-        dt: time step [s].
-        inputs: T of them, `(*batch, *points, D)` each; empty where these are the reference states.
-    """
-    steps, time = moments[1:], moments[0].x.ndim - 1
-    reference = torch.stack([moment.x for moment in moments], -2)
-    states = [moment.plant for moment in moments]
-    tracked = None
-    if states[0] is not None:
-        tracked = type(states[0])(*(torch.stack(f, time) for f in zip(*states, strict=True)))
-    rests = [step.resting for step in steps if step.resting is not None]
-    return Rollout(
-        x=reference if tracked is None else tracked.x,
-        v=torch.stack([step.v for step in steps], -2) if tracked is None else tracked.v[..., 1:, :],
-        features=torch.stack(list(features), -2),
-        dt=dt,
-        resting=torch.stack(rests, -1) if rests else None,
-        stiffness=torch.stack(list(stiffness), -2) if stiffness else None,
-        reference=reference,
-        inputs=torch.stack(list(inputs), -2) if inputs else reference[..., :-1, :],
         plant=tracked,
     )
 

@@ -276,7 +276,7 @@ INSIDE = {
     "parameters.ExpertParameters.from_rows", "parameters.ExpertParameters.join", "parameters.arrange",
     "parameters.cat_broadcast", "plants.PointMass.advance", "plants.PointMass.reset", "policy.GMRPolicy.feature_gating",
     "policy.GMRPolicy.field", "policy.GMRPolicy.outputs", "policy_file.completed", "policy_file.write",
-    "preparation.gradient", "rollouts.Rollout", "rollouts.advance", "rollouts.begin", "rollouts.record",
+    "preparation.gradient", "moments.Rollout", "moments.advance", "moments.begin", "moments.record",
     "starts.fit_batch", "stops.Bounds.__call__", "stops.Walls.__call__", "testing.check_plant", "testing.check_policy",
     "testing.check_stop",
 }  # fmt: skip

@@ -8,6 +8,7 @@ from torch import nn
 from torch.func import functional_call
 from torch.testing import assert_close
 
+import torchds
 from torchds import Bounds, GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.sensitivity import sensitivity
@@ -293,3 +294,36 @@ def test_a_motion_that_ends_at_its_goal_ends_at_the_shifted_one():
 def test_a_shift_that_does_not_fit_is_refused(random_policy, shift):
     with pytest.raises(InvalidArgumentError, match=re.escape(f"shift {tuple(shift.shape)} has to broadcast with")):
         rollout(random_policy(), torch.zeros(4, 2, dtype=torch.float64), n_steps=3, dt=0.1, shift=shift)
+
+
+# ---------------------------------------------------------------------- feedback
+
+
+def test_with_feedback_the_policy_sees_the_plant(random_policy, randn):
+    policy = random_policy(batch=(3,), moved=True)
+    plant = torchds.impedance.ImpedanceControlled(torchds.plants.PointMass(), stiffness=20.0)
+    path = rollout(policy, randn(4, 2), 6, 0.1, plant=plant, feedback=True, shift=torch.ones(2))
+    assert_close(path.inputs, path.x[..., :-1, :] - 1.0, rtol=0, atol=1e-12)
+    assert_close(path.features, policy.features(path.inputs), rtol=0, atol=1e-12)
+    commanded = path.x[..., :-1, :] + 0.1 * policy(path.inputs)
+    assert_close(path.reference[..., 1:, :], commanded, rtol=0, atol=1e-12)
+
+
+def test_with_feedback_a_stiff_plant_without_a_push_follows_the_motion(random_policy, randn):
+    policy, x0 = random_policy(), randn(2)
+    plant = torchds.impedance.ImpedanceControlled(torchds.plants.PointMass(damping=0.0), stiffness=1e8)
+    closed = rollout(policy, x0, 50, 0.01, plant=plant, feedback=True)
+    assert_close(closed.x, rollout(policy, x0, 50, 0.01).x, rtol=1e-3, atol=1e-3)
+
+
+def test_feedback_without_a_plant_changes_nothing(random_policy, randn):
+    policy, x0 = random_policy(), randn(2)
+    assert torch.equal(rollout(policy, x0, 9, 0.1, feedback=True).x, rollout(policy, x0, 9, 0.1).x)
+
+
+def test_compiled_code_says_that_it_has_no_feedback(random_policy, randn):
+    if not torchds.kernels.available()["cpu"]:
+        pytest.skip("no numba here")
+    plant = torchds.impedance.ImpedanceControlled(torchds.plants.PointMass(), stiffness=20.0)
+    with pytest.raises(InvalidArgumentError, match="feedback from a plant needs the eager loop"):
+        rollout(random_policy(), randn(2), 9, 0.1, plant=plant, feedback=True, backend="fused")
