@@ -103,6 +103,13 @@ def saved(**given):
         return [info.goal, info.P]
 
 
+def controlled(change):
+    controller = torchds.Controller(POLICY, DT)
+    controller.reset(GOAL)
+    change(controller)
+    return controller.step().x.copy()
+
+
 def unpacked(theta):
     return make_policy().unpack(theta)
 
@@ -261,6 +268,15 @@ CASES = {
         lambda position, quaternion, goal: list(poses.from_poses([position], [quaternion], 0.1, goal)),
         {"position": randn(9, 3), "quaternion": TURNING, "goal": TURNING[-1]},
     ),
+    "control.controller.Controller": (
+        lambda low, high: torchds.Controller(POLICY, DT, workspace=(low, high)).plan.numbers,
+        {"low": GOAL - 9, "high": GOAL + 9},
+    ),
+    "control.controller.Controller.reset": (lambda x0: controlled(lambda c: c.reset(x0)), {"x0": GOAL}),
+    "control.controller.Controller.retarget": (
+        lambda target, goal: controlled(lambda c: c.retarget(target, goal=goal)),
+        {"target": GOAL, "goal": GOAL + 1},
+    ),
     "preparation.Preparation.shift_to_goal": (lambda goal: list(DEMOS.shift_to_goal(goal)), {"goal": GOAL}),
     "preparation.Preparation.with_stiffness": (lambda value: list(DEMOS.with_stiffness(value)), {"value": GOAL + 9}),
 }
@@ -274,7 +290,8 @@ INSIDE = {
     "exploration.trajectory.TrajectorySpace.measure", "fits.Noise.like", "forces.ConstantForce.__call__",
     "forces.DivergentForce.__call__", "impedance.ImpedanceControlled.reset", "mending.resample", "parameters.ExpertParameters",
     "parameters.ExpertParameters.from_rows", "parameters.ExpertParameters.join", "parameters.arrange",
-    "parameters.cat_broadcast", "plants.PointMass.advance", "plants.PointMass.reset", "policy.GMRPolicy.feature_gating",
+    "parameters.cat_broadcast", "passive.PassiveControlled.reset",
+    "plants.PointMass.advance", "plants.PointMass.reset", "policy.GMRPolicy.feature_gating",
     "policy.GMRPolicy.field", "policy.GMRPolicy.outputs", "policy_file.completed", "policy_file.write",
     "preparation.gradient", "moments.Rollout", "moments.advance", "moments.begin", "moments.record",
     "starts.fit_batch", "stops.Bounds.__call__", "stops.Walls.__call__", "testing.check_plant", "testing.check_policy",
@@ -292,7 +309,7 @@ ANY_LENGTH = {
 }  # fmt: skip
 OPTIONAL = {"P", "stiffness_A", "stiffness_b", "direction", "torque_limit", "gating", "free", "velocities"}
 OPTIONAL_IN = {
-    "goal": ("Gaussian", "TrajectorySpace", "fit", "Preparation", "save", "from_poses"),
+    "goal": ("retarget", "Gaussian", "TrajectorySpace", "fit", "Preparation", "save", "from_poses"),
     "v": ("Demonstrations",),
 }
 OPTIONAL_IN |= {"stiffness": ("from_mixture", "from_demonstrations", "ImpedanceControlled", "Demonstrations")}

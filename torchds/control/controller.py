@@ -90,7 +90,10 @@ class Controller:
         self.goal = None if goal is None else _vector("goal", goal, D)
         self.plan.limits[1:3] = max_speed, max_acceleration * dt
         if workspace is not None:
-            self._bound(*workspace)
+            low, high = (_vector("workspace", edge, D, single=True) for edge in workspace)
+            if not (low < high).all():
+                raise InvalidArgumentError(f"workspace has to be (low, high) with low < high, got {low} and {high}")
+            self.plan.low[:], self.plan.high[:] = low, high
         self._slower = dt / braking  # of the share of the speed, in a tick
         self._step = _compiled(self.plan) if compiled else plain.step(self.plan)
         self._ticks = ring(history, D, O, Q)
@@ -215,12 +218,6 @@ class Controller:
             raise InvalidArgumentError("where the motion ends is not known; give goal=, or save the policy with goal=")
         self.shift[:] = _vector("target", target, D) - self.goal
 
-    def _bound(self, low: ArrayLike, high: ArrayLike) -> None:
-        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        if not (low < high).all():
-            raise InvalidArgumentError(f"workspace has to be (low, high) with low < high, got {low} and {high}")
-        self.plan.low[:], self.plan.high[:] = low, high
-
 
 def _of_module(policy: Any) -> tuple[Mapping[str, np.ndarray], Any]:
     """The arrays of a `GMRPolicy` by name, and its goal."""
@@ -234,14 +231,20 @@ def _of_module(policy: Any) -> tuple[Mapping[str, np.ndarray], Any]:
     return {name: value.detach().cpu().double().numpy() for name, value in named.items()}, goal
 
 
-def _vector(name: str, value: ArrayLike, D: int) -> np.ndarray:
+def _vector(name: str, value: ArrayLike, D: int, *, single: bool = False) -> np.ndarray:
+    """`(D,)` finite numbers; with `single`, one number for all may be given, and infinity."""
     try:
-        vector = np.asarray(value).astype(np.float64)
+        array = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
     except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (D,) or not np.isfinite(vector).all():
-        raise InvalidArgumentError(f"{name} has to be {D} finite numbers, got {value!r}")
-    return vector
+        array = np.empty(0)
+    fits = array.shape == (D,) or (single and array.shape == ())
+    if (
+        not fits
+        or array.dtype.kind not in "biuf"
+        or not (np.isfinite(array).all() or (single and not np.isnan(array).any()))
+    ):
+        raise InvalidArgumentError(f"{name} has to be {D} finite numbers, got {' '.join(repr(value).split()):.80}")
+    return np.broadcast_to(array, (D,)).astype(np.float64)
 
 
 def _compiled(plan: Plan) -> plain.Step:
