@@ -18,7 +18,7 @@ LIBRARY = [
     {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},
     {"recordings", "poses", "parameters", "trainable", "starts"},
     {"policy"},
-    {"plants", "passive", "cartesian", "saving"},
+    {"plants", "passive", "cartesian", "saving", "c_header"},
     {"moments", "impedance", "rollouts"},
     {"sensitivity", "fits", "recruiting"},
     {"exploration"},

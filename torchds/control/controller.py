@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
@@ -83,7 +83,7 @@ class Controller:
                 raise InvalidArgumentError(f"{name} has to be positive, got {value!r}")
         if history < 2:
             raise InvalidArgumentError(f"history has to be at least 2 ticks, got {history}")
-        values, goal = policy if isinstance(policy, tuple) else _of_module(policy)
+        values, goal = policy if isinstance(policy, tuple) else (arrays_of(policy), policy.info.goal)
         self.plan, self.dt, self.feedback, self.clock = plan(values, dt), float(dt), feedback, clock
         _, D, O, Q = self.plan.sizes
         self.shift = self.plan.shift
@@ -219,16 +219,19 @@ class Controller:
         self.shift[:] = _vector("target", target, D) - self.goal
 
 
-def _of_module(policy: Any) -> tuple[Mapping[str, np.ndarray], Any]:
-    """The arrays of a `GMRPolicy` by name, and its goal."""
+def arrays_of(policy: Any) -> dict[str, np.ndarray]:
+    """The arrays of a `GMRPolicy` by name, in float64.
+
+    Raises:
+        InvalidArgumentError: it is none.
+    """
     try:
         named = {**dict(policy.named_buffers(recurse=False)), **policy.row_parameters}
-        goal = policy.info.goal
     except AttributeError:
         raise InvalidArgumentError(
             f"policy has to be a GMRPolicy, got {type(policy).__name__}; load() takes a file"
         ) from None
-    return {name: value.detach().cpu().double().numpy() for name, value in named.items()}, goal
+    return {name: value.detach().cpu().double().numpy() for name, value in named.items()}
 
 
 def _vector(name: str, value: ArrayLike, D: int, *, single: bool = False) -> np.ndarray:
