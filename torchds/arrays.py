@@ -274,6 +274,8 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     Raises:
         RuntimeError: they do not broadcast.
     """
+    if all(shape == shapes[0] for shape in shapes):
+        return tuple(shapes[0])
     n = max(map(len, shapes))
     sizes = [
         {size for size in each if size != 1}

@@ -125,7 +125,19 @@ class Homogeneous(Exploration):
         return torch.maximum(means.abs(), 0.01 * variances.sqrt())
 
     def std(self) -> dict[str, Tensor]:
-        """The standard deviation of each parameter's noise by name, `(*gate_batch, *parameter)` without the policy's batch."""
+        """The standard deviation of each parameter's noise by name, `(*gate_batch, *parameter)` without the policy's batch.
+
+        It is computed once while nothing changes that it depends on.
+        """
+        numbers = (self.mean_speed, self.rule, self.mean_stiffness)
+        tensors = [self.policy.means, self.policy.factors, *([] if self.direction is None else [self.direction])]
+        if self._known is None or self._known[0] != numbers or not _same(self._known[1], tensors):
+            self._known = numbers, [tensor.clone() for tensor in tensors], self._std()
+        return {name: value.clone() for name, value in self._known[2].items()}
+
+    _known: tuple[tuple[object, ...], list[Tensor], dict[str, Tensor]] | None = None  # depends on, and std
+
+    def _std(self) -> dict[str, Tensor]:
         policy = self.policy
         D, O, Q = policy.input_dim, policy.output_dim, policy.stiffness_dim
         slope = 1.0 / self.size()  # (*gate_batch, K, D)
@@ -160,6 +172,11 @@ class Homogeneous(Exploration):
         return [
             torch.where(std[name] > 0, change / std[name], 0.0) for name, change in zip(names, changes, strict=True)
         ]
+
+
+def _same(these: Sequence[Tensor], those: Sequence[Tensor]) -> bool:
+    kinds = [[(t.dtype, t.device) for t in tensors] for tensors in (these, those)]
+    return kinds[0] == kinds[1] and all(map(torch.equal, these, those))
 
 
 def chi_mean(dim: int) -> float:

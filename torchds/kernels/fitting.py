@@ -15,6 +15,8 @@ from torchds.kernels.choice import Unfit, wanted
 from torchds.kernels.fused import Field
 from torchds.kernels.steps import ScalarStep, own
 
+PRECISIONS = (torch.float64, torch.float32)
+
 
 def check(*tensors: Tensor | None) -> None:
     """Refuse tensors that are not plain numbers in the memory of the CPU.
@@ -24,14 +26,15 @@ def check(*tensors: Tensor | None) -> None:
     """
     if torch.compiler.is_compiling():
         raise Unfit("torch.compile and torch.export trace the eager loop")
+    if forward_ad._current_level >= 0:
+        raise Unfit("forward-mode derivatives need the eager loop")
     given = [tensor for tensor in tensors if tensor is not None]
+    dtype = given[0].dtype
     for tensor in given:
-        if tensor.device.type != "cpu":
+        if not tensor.is_cpu:
             raise Unfit(f"there is no kernel for the device {tensor.device}")
-        if tensor.dtype != given[0].dtype or tensor.dtype not in (torch.float64, torch.float32):
+        if tensor.dtype is not dtype or dtype not in PRECISIONS:
             raise Unfit("everything has to be float64, or everything float32")
-        if forward_ad.unpack_dual(tensor).tangent is not None:  # type: ignore[no-untyped-call]
-            raise Unfit("forward-mode derivatives need the eager loop")
         try:
             tensor.data_ptr()
         except RuntimeError:

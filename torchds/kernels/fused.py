@@ -153,7 +153,7 @@ def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: Ten
     upsilon = features.new_empty(*lead, T)
     rows = [_flat(rows.expand(*lead, O, F), O, F) for rows in (deviation, noise, weight)]
     arrays = (*rows, _flat(features.expand(*lead, T, F), T, F), _flat(upsilon, T))
-    _in_threads(gradients.control, (features.dtype,), (), len(arrays[-1]), T, *arrays)
+    _in_threads(gradients.control, (features.dtype,), (F,), len(arrays[-1]), T, *arrays)
     return upsilon
 
 
@@ -196,10 +196,10 @@ def _function(step: ScalarStep | None) -> Callable[..., Any] | None:
     return step.function if step is not None and callable(step.function) else None
 
 
-def _numbers(step: ScalarStep | None, lead: tuple[int, ...], like: Tensor) -> tuple[int, Any]:
+def _numbers(step: ScalarStep | None, lead: tuple[int, ...], nothing: Any) -> tuple[int, Any]:
     """Kind and parameters of a step, for compiled code."""
     if step is None:
-        return NONE, _each(like.new_zeros(1), lead)
+        return NONE, nothing
     return step.function if isinstance(step.function, int) else OWN, _each(step.parameters, lead)
 
 
@@ -215,16 +215,21 @@ def _run(field: Field, start: Tensor, setting: Setting) -> Track:
     stop, plant, force = setting.stop, setting.plant, None
     if stop is not None:
         track = track._replace(resting=torch.empty(*lead, T, dtype=torch.bool))
-    stopping, tracking = (*_numbers(stop, lead, start), _rests(track.resting)), None
+    nothing = np.zeros((1, D), written[0].dtype)
+    stopping, tracking = (*_numbers(stop, lead, nothing), _rests(track.resting)), None
     if plant is not None and setting.begin is not None:
         force, S = plant.force, setting.begin.shape[-1]
         states = new(*lead, T + 1, S)
         states[..., 0, :] = setting.begin
         track = track._replace(states=states)
-        tracking = (*_numbers(plant, lead, start), *_numbers(force, lead, start), states.numpy().reshape(n, T + 1, S))
+        tracking = (
+            *_numbers(plant, lead, nothing),
+            *_numbers(force, lead, nothing),
+            states.numpy().reshape(n, T + 1, S),
+        )
     functions = (_function(stop), _function(force), _function(plant))
     loop = cpu.extended(*functions) if any(functions) else cpu.roll
-    shift = _each(field.center.new_zeros(D) if setting.shift is None else setting.shift, lead)
+    shift = nothing if setting.shift is None else _each(setting.shift, lead)
     arrays = (setting.dt, _flat(start, D), *field.arrays(), *written, shift, stopping, tracking)
     _over(field, loop, n, T, (plant is None,), *arrays)
     return track

@@ -161,26 +161,33 @@ def stiffness_sensitivities(
                     row[k * E + N * D + o] += h[k]
 
 
-def control(first, last, deviation, noise, weight, features, upsilon):
-    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`."""
-    n_steps, F = features.shape[1], features.shape[2]
-    drifts, pushes, inverse = np.empty(F), np.empty(F), np.empty(F)
+def control(first, last, columns, deviation, noise, weight, features, upsilon):
+    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`, of features as many as `columns`."""
+    O, F, n_steps = deviation.shape[1], len(columns), features.shape[1]
+    drifts, pushes, inverse, alike = np.empty((O, F)), np.empty((O, F)), np.empty((O, F)), np.empty(O, np.bool_)
     for i in range(first, last):
-        for t in range(n_steps):
-            upsilon[i, t] = 0.0
-        for o in range(deviation.shape[1]):
-            constant = 0.0
+        constant = 0.0
+        for o in range(O):
+            alike[o] = o > 0  # whether this row's gᵀR⁻¹g is that of the row before
             for f in range(F):
-                r, a = weight[i, o, f], deviation[i, o, f]
+                r, a, free = weight[i, o, f], deviation[i, o, f], not weight[i, o, f] > 0
                 constant += r * (a * a)
-                inverse[f] = 1.0 / r if r > 0 else 0.0
-                drifts[f] = a if r > 0 else 0.0
-                pushes[f] = noise[i, o, f] if r > 0 else 0.0
-            for t in range(n_steps):
-                drift, push, size = 0.0, 0.0, 0.0
+                inverse[o, f] = 0.0 if free else 1.0 / r
+                drifts[o, f] = 0.0 if free else a
+                pushes[o, f] = 0.0 if free else noise[i, o, f]
+                if o > 0 and inverse[o, f] != inverse[o - 1, f]:
+                    alike[o] = False
+        for t in range(n_steps):
+            g, total, size = features[i, t], constant, 0.0
+            for o in range(O):
+                if not alike[o]:
+                    size = 0.0
+                    for f in range(F):
+                        size += inverse[o, f] * (g[f] * g[f])
+                drift, push = 0.0, 0.0
                 for f in range(F):
-                    g = features[i, t, f]
-                    drift += drifts[f] * g
-                    push += pushes[f] * g
-                    size += inverse[f] * (g * g)
-                upsilon[i, t] += constant + ((2.0 * drift + push) * push / size if size > 0 else 0.0)
+                    drift += drifts[o, f] * g[f]
+                    push += pushes[o, f] * g[f]
+                if size > 0:
+                    total += (2.0 * drift + push) * push / size
+            upsilon[i, t] = total

@@ -154,7 +154,8 @@ def controls(
         policy, features = checked(visit)
         if not any(p in noise for p in policy.row_parameters.values()):
             continue  # not one of the optimised policies, for example a reference
-        r = policy.rows(lambda p: torch.full_like(p, weight.get(p, 0.0)))
+        weights = [weight.get(p, 0.0) for p in policy.row_parameters.values()]
+        r = weights[0] if len({*weights}) == 1 else policy.rows(lambda p: torch.full_like(p, weight.get(p, 0.0)))
         epsilon = policy.rows(lambda p: noise[p] if p in noise else torch.zeros_like(p))
         if (
             features.ndim < epsilon.ndim
@@ -167,7 +168,7 @@ def controls(
             )
         features = features.to(epsilon)
         deviation = policy.rows() - (policy.initial_rows if reference == "demonstrated" else 0.0)
-        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r.expand_as(epsilon))
+        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r)
         found.append(Control(Visit(policy, features), upsilon, epsilon))
     if not found:
         raise InvalidArgumentError(

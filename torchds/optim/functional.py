@@ -60,10 +60,12 @@ def relative_costs(costs: Array, temperature: Temperature = "range") -> Tensor:
     costs = _costs(costs)
     valid = costs.isfinite()
     low = torch.where(valid, costs, torch.inf).amin(0)
-    high = torch.where(valid, costs, -torch.inf).amax(0)
-    half = torch.where((high - low).isposinf(), 0.5, 1.0).to(costs)  # a range beyond the largest number is halved
-    above = torch.where(valid, half * costs - half * low, torch.inf)  # S − min S
+    above = torch.where(valid, costs - low, torch.inf)  # S − min S
     spread = torch.where(valid, above, 0.0).amax(0)
+    if (wide := spread.isposinf()).any():  # a range beyond the largest number is halved
+        half = torch.where(wide, 0.5, 1.0).to(costs)
+        above = torch.where(valid, half * costs - half * low, torch.inf)
+        spread = torch.where(valid, above, 0.0).amax(0)
     if temperature != "range":
         median = torch.where(valid, above, torch.nan).nanquantile(0.5, dim=0)
         spread = median if temperature == "median" else torch.minimum(spread, 3 * median)
@@ -86,7 +88,8 @@ def check_temperature(temperature: Any) -> None:
 def informative(costs: Array) -> Tensor:
     """`(...)` False where no roll-out is better than another: N > 1 costs `(N, ...)` are all finite and equal."""
     costs = _costs(costs)
-    return (costs != costs[:1]).any(0) | ~costs.isfinite().all(0) | (len(costs) == 1)
+    alike = (costs == costs[:1]).all(0) & costs[:1].isfinite().all(0)
+    return ~alike | (len(costs) == 1)
 
 
 def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 1e-3) -> Tensor:

@@ -18,6 +18,7 @@ from torchds.optim.functional import Temperature, check_temperature
 
 ControlReference = Literal["demonstrated", "zero"]
 Elite = Literal["none", "nominal", "best"]
+CONTROL_REFERENCES, ELITES = get_args(ControlReference), get_args(Elite)
 
 
 class SharedOptions(TypedDict, total=False):
@@ -90,8 +91,8 @@ def check_search(
         InvalidArgumentError: what was received and what is allowed.
     """
     for name, value, allowed in (
-        ("control_reference", control_reference, get_args(ControlReference)),
-        ("elite", elite, get_args(Elite)),
+        ("control_reference", control_reference, CONTROL_REFERENCES),
+        ("elite", elite, ELITES),
     ):
         if not isinstance(value, str) or value not in allowed:
             *others, last = map(repr, allowed)
