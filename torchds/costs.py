@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -31,7 +32,9 @@ def via_points(x: Array, points: Array) -> Tensor:
     """
     x = _moving("x", x)[..., 1:, None, :]
     points = beside("points", points, x, "(L, D)")
-    return (x - points).square().sum(-1).amin(-2).sum(-1)
+    axes = zip(x.transpose(-3, -2).unbind(-1), points.unsqueeze(-2).unbind(-1), strict=True)
+    squares = [(position - point).square() for position, point in axes]  # (..., L, T) of each axis
+    return functools.reduce(torch.add, squares).amin(-1).sum(-1)
 
 
 def goal(x: Array, target: Array) -> Tensor:

@@ -104,7 +104,8 @@ class ExpertParameters(nn.Module):
     @property
     def initial_rows(self) -> Tensor:
         """`rows` of the demonstrated policy (Eq. 12-13)."""
-        return arrange(self.initial_A, self.initial_b, self.initial_stiffness_A, self.initial_stiffness_b)
+        stiffness = (self.initial_stiffness_A, self.initial_stiffness_b) if self.stiffness_dim else ()
+        return arrange(self.initial_A, self.initial_b, *stiffness)
 
     def from_rows(self, rows: Tensor) -> dict[str, Tensor]:
         """The inverse of `rows`: the parameters, by name, that `rows` `(*batch, O+Q, K (D+1))` stands for."""

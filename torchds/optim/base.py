@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchds.arrays import shown, without_autocast
 from torchds.errors import AllRolloutsFailedError, EqualCostsWarning, InvalidArgumentError
 from torchds.exploration.base import Exploration
-from torchds.optim.checkpoints import check_entries
+from torchds.optim.checkpoints import check_entries, finite
 from torchds.optim.drawing import Drawing
 from torchds.optim.elite import remember
 from torchds.optim.evaluation import Closure, Control, Table, Trial, as_costs, controls, evaluate
@@ -272,7 +272,7 @@ class PolicySearch(Drawing):
         weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
         if (equal := ~informative(cost)).any():
             self._stay(equal, before)
-        if not all(p.isfinite().all() for p in self.parameters):
+        if not all(map(finite, self.parameters)):
             raise InvalidArgumentError(
                 "the update leads to parameters beyond the largest number; the parameters are unchanged. Explore less (lr)"
             )
@@ -303,7 +303,7 @@ class PolicySearch(Drawing):
         for group, exploration in zip(self.param_groups, self.explorations, strict=True):
             self._check_options(group)
             self._check_promise(group, exploration)
-        if not all(p.isfinite().all() for p in self.parameters):
+        if not all(map(finite, self.parameters)):
             raise InvalidArgumentError("parameters have to be finite before a step; some are NaN or infinite")
         check_entries(
             self, self.state, ", which belongs to other parameters or options; make a new optimizer for these"

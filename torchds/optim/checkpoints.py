@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -32,7 +33,7 @@ def cost_dtype(parameters: Iterable[Tensor]) -> torch.dtype:
 
 def finite(value: Tensor) -> bool:
     """Whether all of `value` is finite."""
-    return bool(value.isfinite().all())
+    return not value.numel() or math.isfinite(torch.linalg.vector_norm(value, math.inf).item())
 
 
 class Place(NamedTuple):

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchds.arrays import like
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
-from torchds.optim.checkpoints import Resumable
+from torchds.optim.checkpoints import Resumable, finite
 from torchds.optim.elite import put_first
 from torchds.optim.options import Elite
 
@@ -48,7 +48,7 @@ class Drawing(Resumable):
         for p, epsilon in noise.items():
             if not p.requires_grad:
                 epsilon.zero_()
-            if not epsilon.isfinite().all():
+            if not finite(epsilon):
                 raise InvalidArgumentError(
                     f"the noise of a parameter of shape {tuple(p.shape)} is not finite; explore less (lr), and look at its "
                     "exploration"
