@@ -87,10 +87,9 @@ class ExpertParameters(nn.Module):
     @property
     def row_parameters(self) -> dict[str, nn.Parameter]:
         """The parameters that the rows consist of, by name."""
-        named = {"A": self.A, "b": self.b}
-        return named | (
-            {"stiffness_A": self.stiffness_A, "stiffness_b": self.stiffness_b} if self.stiffness_dim else {}
-        )
+        if not self.stiffness_dim:
+            return {"A": self.A, "b": self.b}
+        return {"A": self.A, "b": self.b, "stiffness_A": self.stiffness_A, "stiffness_b": self.stiffness_b}
 
     def rows(self, value: Callable[[nn.Parameter], Tensor] | None = None) -> Tensor:
         """The parameters as `(*batch, O+Q, K (D+1))`, row o = [A_1 row o, b_1[o], A_2 row o, ...].
@@ -201,7 +200,7 @@ def arrange(A: Tensor, b: Tensor, *stiffness: Tensor) -> Tensor:
     experts = cat_broadcast([A, b.unsqueeze(-1)], -1)  # (*batch, K, O, D+1)
     if stiffness:
         experts = cat_broadcast([experts, cat_broadcast([stiffness[0], stiffness[1].unsqueeze(-1)], -1)], -2)
-    return experts.movedim(-3, -2).flatten(-2)
+    return experts.transpose(-3, -2).flatten(-2)
 
 
 def cat_broadcast(tensors: list[Tensor], dim: int) -> Tensor:

@@ -83,7 +83,7 @@ def checked(visit: Any) -> Visit:
         policy, features = visit
     except (TypeError, ValueError):
         policy, features = None, visit
-    if not hasattr(policy, "row_parameters") or not isinstance(features, Tensor):
+    if not hasattr(policy, "rows") or not isinstance(features, Tensor):
         raise InvalidArgumentError(
             "a visit is (policy, features) of a policy that is linear in features and a tensor (*batch, *points, T, F), got "
             f"{type(policy).__name__} and {type(features).__name__}; use Visit(policy, policy.features(x))"

@@ -135,7 +135,7 @@ class Homogeneous(Exploration):
             self._known = numbers, [tensor.clone() for tensor in tensors], self._std()
         return {name: value.clone() for name, value in self._known[2].items()}
 
-    _known: tuple[tuple[object, ...], list[Tensor], dict[str, Tensor]] | None = None  # depends on, and std
+    _known: tuple[tuple[object, ...], list[Tensor], dict[str, Tensor]] | None = None  # what std depends on, and std
 
     def _std(self) -> dict[str, Tensor]:
         policy = self.policy

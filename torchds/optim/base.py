@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import functools
 import inspect
 import warnings
 from abc import abstractmethod
@@ -256,9 +257,8 @@ class PolicySearch(Drawing):
         control = controls(trial.visits, noise, weight, self.control_reference) if informed else []
         self._check_control(trial.costs, control)
         cost = trial.costs.sum(-1) if self.costs_per_step else trial.costs
-        effort = torch.zeros_like(cost)
-        for part in control:
-            effort = effort + 0.5 * part.upsilon.flatten(cost.ndim).sum(-1)
+        efforts = [0.5 * part.upsilon.flatten(cost.ndim).sum(-1) for part in control]
+        effort = functools.reduce(torch.add, efforts) if efforts else torch.zeros_like(cost)
         cost = cost + effort
         failed = ~cost.isfinite()
         if failed.all():

@@ -179,3 +179,21 @@ def test_parameters_of_another_module_are_refused(stranger):
         PIBB(stranger.parameters(), exploration=exploration)
     with pytest.raises(InvalidArgumentError, match=message):
         exploration(list(stranger.parameters()), [])
+
+
+def test_the_size_of_the_noise_follows_what_it_depends_on(random_policy):
+    policy = random_policy(3, Q=1)
+    noise = Homogeneous(policy, 0.1, mean_stiffness=2.0)
+    first = noise.std()
+    first["A"].zero_()  # what was given out is the caller's
+    assert (noise.std()["A"] > 0).all()
+    noise.mean_speed = 0.2
+    torch.testing.assert_close(noise.std()["b"], 2.0 * first["b"], rtol=1e-15, atol=0)
+    policy.means.mul_(2.0)
+    torch.testing.assert_close(
+        noise.std()["A"], Homogeneous(policy, 0.2, mean_stiffness=2.0).std()["A"], rtol=0, atol=0
+    )
+    noise.direction = torch.tensor([1.0, 0.0])
+    assert (noise.std()["b"][:, 1] == 0).all()
+    policy.float()
+    assert noise.std()["A"].dtype == torch.float32
