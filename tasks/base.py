@@ -68,6 +68,7 @@ class Task(ABC):
         covariance_floor: of its fit [unit of the task, squared]; None for a millionth of the mean variance of the data.
         search: what is proposed to whoever searches.
         plant: what tracks the motion; None where the motion itself counts.
+        feedback: whether the policy sees the plant; see `torchds.rollout`.
         stop: what ends it early; None for nothing.
     """
 
@@ -86,6 +87,7 @@ class Task(ABC):
     given_mixture: GaussianMixture | None = field(default=None, init=False)
     search: SearchSettings = field(default=SearchSettings(), init=False)
     plant: Plant | None = field(default=None, init=False)
+    feedback: bool = field(default=False, init=False)
     stop: StopCondition | None = field(default=None, init=False)
 
     def __init_subclass__(cls) -> None:
@@ -168,7 +170,7 @@ class Task(ABC):
 
     def rollout(self, policy: GMRPolicy) -> Rollout:
         """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
-        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant)
+        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant, feedback=self.feedback)
 
     def cost(self, path: Rollout) -> Tensor:
         """The cost of a trial `(*batch)`, without the control cost, which an optimizer adds."""

@@ -8,7 +8,7 @@ from torch import Tensor
 from tasks.base import Task, total
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError
-from torchds.moments import Moment, advance, begin, record
+from torchds.moments import Moment, advance, begin, record, seen
 
 
 class Trials:
@@ -69,6 +69,7 @@ class Trials:
         self.moments: list[Moment] = [begin(self.x0, self.policy.output_dim, self.task.stop, self.task.plant)]
         self.features: list[Tensor] = []
         self.stiffness: list[Tensor] = []
+        self.inputs: list[Tensor] = []
         self.nearest = self.distances()
         self.cost = self.x0.new_zeros(len(self.x0))
 
@@ -89,7 +90,7 @@ class Trials:
 
     def path(self) -> Rollout:
         """The roll-outs so far, at least one step of them."""
-        return record(self.moments, self.features, self.stiffness, self.dt)
+        return record(self.moments, self.features, self.stiffness, self.dt, self.inputs)
 
     def step(self, actions: Tensor) -> Tensor:
         """One step under `actions` `(M, n_actions)`; returns the rewards `(M,)`.
@@ -105,14 +106,17 @@ class Trials:
             raise InvalidArgumentError(f"all {self.n_steps} steps are made; call reset()")
         now, O = self.now, self.policy.output_dim
         a = actions.to(self.x0).view(self.action_shape)[:, self.reference_of].view(*now.x.shape[:-1], -1)
-        features = self.policy.features(now.x)
+        x = seen(now) if self.task.feedback else now.x
+        features = self.policy.features(x)
         y = self.policy.outputs(features, self.policy.rows())
         v, stiffness = y[..., :O] + self.speed * a[..., :O], None
         if self.policy.stiffness_dim:
             stiffness = y[..., O:] * (1 + a[..., O:])
             self.stiffness.append(stiffness)
         self.features.append(features)
-        self.moments.append(advance(now, v, stiffness, self.t * self.dt, self.dt, self.task.stop, self.task.plant))
+        self.inputs.append(x)
+        t, task = self.t * self.dt, self.task
+        self.moments.append(advance(now, v, stiffness, t, self.dt, task.stop, task.plant, task.feedback))
         distances = self.distances()
         self.nearest = distances if self.t == 1 else torch.minimum(self.nearest, distances)  # the start does not count
         before, self.cost = self.cost, self.due()

@@ -16,6 +16,7 @@ from torchds.arrays import Array, beside, number, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
+from torchds.passive import PassiveControlled
 from torchds.plants import Command, PointMass, PointMassState
 from torchds.rollouts import Rollout
 
@@ -149,7 +150,7 @@ def injected_energy(path: Rollout) -> Tensor:
     return (0.5 * s.diff(dim=-2) * stretch.square()).sum(-1).clamp_min(0.0).sum(-1)
 
 
-def clamped_share(path: Rollout, controlled: ImpedanceControlled) -> Tensor:
+def clamped_share(path: Rollout, controlled: ImpedanceControlled | PassiveControlled) -> Tensor:
     """Share of steps and stiffness rows of the policy that were outside the bounds `(...)`, between 0 and 1.
 
     Args:

@@ -38,7 +38,8 @@ class PassiveState(NamedTuple):
         x: `(*batch, *points, D)` position.
         v: `(*batch, *points, D)` velocity.
         acceleration: `(*batch, *points, D)` of the step that led here; zero at the start.
-        stiffness: `(*batch, *points, D)` zero, since there is no spring.
+        stiffness: `(*batch, *points, D)` of the policy, of which the damping was made [N/m]: along the field first,
+            then across it; zero where the damping is constant, since there is no spring.
         force: `(*batch, *points, D)` external force in that step [N].
         tank: `(*batch, *points, 1)` energy in the tank [J]; zero without one.
     """
@@ -59,32 +60,42 @@ class PassiveControlled:
 
     Args:
         plant: the point mass.
-        along: λ₁, damping and drive along the field [N s/m]; with a large one the velocity is that of the field.
+        along: λ₁, damping and drive along the field [N s/m]; with a large one the velocity is that of the field. If None, the
+            policy's stiffness rows s say both, λ = 2 √(s m) as in Eq. 33: the first one λ₁, the last one λ₂.
         across: λ₂, damping across the field [N s/m]; `along` if None.
         tank: energy in the tank at the start [J]; None for no tank.
         capacity: largest energy in the tank [J].
+        low: smallest stiffness of the policy's that is applied [N/m].
+        high: largest stiffness of the policy's that is applied [N/m].
 
     Raises:
-        InvalidArgumentError: a damping below zero, a tank that is negative or larger than its capacity; from a roll-out, a
-            policy of fewer velocities than the plant has axes.
+        InvalidArgumentError: a damping below zero, `across` without `along`, a tank that is negative or larger than its
+            capacity, bounds that are no interval; from a roll-out, a policy without stiffness where `along` is None, or of
+            fewer velocities than the plant has axes.
     """
 
     def __init__(
         self,
         plant: PointMass,
-        along: float = 20.0,
+        along: float | None = 20.0,
         across: float | None = None,
         *,
         tank: float | None = None,
         capacity: float = math.inf,
+        low: float = 0.0,
+        high: float = math.inf,
     ) -> None:
-        self.plant = plant
-        self.along = number("along", along, "finite and at least 0", lambda value: 0 <= value < math.inf)
-        across = self.along if across is None else across
-        self.across = number("across", across, "finite and at least 0", lambda value: 0 <= value < math.inf)
+        if along is None and across is not None:
+            raise InvalidArgumentError(f"across={across} needs along=; without both the policy's stiffness says them")
+        for name, value in (("along", along), ("across", across)):
+            if value is not None:
+                number(name, value, "finite and at least 0", lambda damping: 0 <= damping < math.inf)
         if tank is not None and not 0 <= tank <= capacity:
             raise InvalidArgumentError(f"tank has to be between 0 and capacity={capacity}, got {tank}")
-        self.tank, self.capacity = tank, capacity
+        if not 0 <= low <= high:
+            raise InvalidArgumentError(f"low and high have to be 0 ≤ low ≤ high, got low={low} and high={high}")
+        self.plant, self.along, self.across = plant, along, along if across is None else across
+        self.tank, self.capacity, self.low, self.high = tank, capacity, low, high
 
     def reset(self, x0: Tensor) -> PassiveState:
         """At rest at `x0`."""
@@ -99,26 +110,38 @@ class PassiveControlled:
         speed = torch.linalg.vector_norm(field, dim=-1, keepdim=True)
         e = field / speed.clamp_min(torch.finfo(speed.dtype).tiny)  # zero where the field is: D = λ₂ I there
         force = self.plant.external(command.t, state)  # type: ignore[arg-type]  # x and v are what it looks at
-        drive = self.along * field
-        v = self._velocity(state.v, force + drive, e, dt)
+        damping, stiffness = self._damping(state.x, command.stiffness)
+        drive = damping[0] * field
+        v = self._velocity(state.v, force + drive, e, damping, dt)
         tank = state.tank
         if self.tank is not None:
-            spent = tank + dt * (self._taken(v, e) - (drive * v).sum(-1, keepdim=True))
-            still = self._velocity(state.v, force, e, dt)
-            enough = spent >= 0
+            left = tank + dt * (_taken(v, e, damping) - (drive * v).sum(-1, keepdim=True))
+            still = self._velocity(state.v, force, e, damping, dt)
+            enough = left >= 0
             v = torch.where(enough, v, still)
-            tank = torch.where(enough, spent, tank + dt * self._taken(still, e)).clamp_max(self.capacity)
+            tank = torch.where(enough, left, tank + dt * _taken(still, e, damping)).clamp_max(self.capacity)
         acceleration = (v - state.v) / dt
-        return PassiveState(state.x + v * dt, v, acceleration, torch.zeros_like(v), force, tank)
+        return PassiveState(state.x + v * dt, v, acceleration, stiffness, force, tank)
 
-    def _velocity(self, v: Tensor, force: Tensor, e: Tensor, dt: float) -> Tensor:
+    def _damping(self, x: Tensor, asked: Tensor | None) -> tuple[tuple[Tensor, Tensor], Tensor]:
+        """λ₁ and λ₂ `(..., 1)`, and the stiffness `(..., D)` that they are made of."""
+        if self.along is not None and self.across is not None:
+            return (x.new_tensor(self.along), x.new_tensor(self.across)), torch.zeros_like(x)
+        if asked is None:
+            raise InvalidArgumentError("a policy without stiffness says no damping; give PassiveControlled(along=)")
+        s = asked.clamp(self.low, self.high)
+        along, across = (2 * (part * self.plant.mass).sqrt() for part in (s[..., :1], s[..., -1:]))
+        return (along, across), torch.cat([s[..., :1], s[..., -1:].expand(*x.shape[:-1], x.shape[-1] - 1)], -1)
+
+    def _velocity(self, v: Tensor, force: Tensor, e: Tensor, damping: tuple[Tensor, Tensor], dt: float) -> Tensor:
         """(m + dt (d + D))⁻¹ (m v + dt F), D having eigenvalue λ₁ along `e` and λ₂ across."""
         m, d = self.plant.mass, self.plant.damping
         pushed = m * v + dt * force
         along = (e * pushed).sum(-1, keepdim=True) * e
-        return (pushed - along) / (m + dt * (d + self.across)) + along / (m + dt * (d + self.along))
+        return (pushed - along) / (m + dt * (d + damping[1])) + along / (m + dt * (d + damping[0]))
 
-    def _taken(self, v: Tensor, e: Tensor) -> Tensor:
-        """vᵀ D v, the power that the damper takes `(..., 1)` [W]."""
-        along = (e * v).sum(-1, keepdim=True).square()
-        return self.across * ((v * v).sum(-1, keepdim=True) - along) + self.along * along
+
+def _taken(v: Tensor, e: Tensor, damping: tuple[Tensor, Tensor]) -> Tensor:
+    """vᵀ D v, the power that the damper takes `(..., 1)` [W]."""
+    along = (e * v).sum(-1, keepdim=True).square()
+    return damping[1] * ((v * v).sum(-1, keepdim=True) - along) + damping[0] * along

@@ -26,6 +26,7 @@ from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
 from train.hardware.command import Hardware
 from train.hardware.latency import Latency
+from train.hardware.push import Push
 from train.lasa.command import BenchmarkLasa
 from train.learning.run import run
 from train.options import RunOptions, options_class
@@ -48,6 +49,7 @@ def main() -> int:
         "figures": Figures,
         "hardware": Hardware,
         "latency": Latency,
+        "push": Push,
         "view": View,
         "compare": Compare,
         "beyond": Beyond,

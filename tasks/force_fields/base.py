@@ -16,6 +16,7 @@ from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, costs
 from torchds.errors import InvalidArgumentError
 from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
+from torchds.passive import PassiveControlled
 from torchds.plants import Force, PointMass
 
 LOW, HIGH = 0.1, 1000.0  # N/m, bounds of the applied stiffness
@@ -81,10 +82,11 @@ class ArchTask(Task):
     A unit point mass with unit damping tracks the reference under the implicit impedance controller of Eq. 33. The policy
     gives velocity and stiffness; the task's own demonstrations say nothing about the stiffness, so it begins as the constant
     s⁰; that of given ones, or of a given mixture, is taken. The cost is that of the actual motion and of the stiffness as
-    applied, between 0.1 and 1000 N/m.
+    applied, between 0.1 and 1000 N/m. In closed loop the policy is a feedback law; the passive controller has no spring, and
+    the stiffness says how much it damps (`torchds.passive`).
 
     Raises:
-        InvalidArgumentError: an unknown kind of stiffness.
+        InvalidArgumentError: an unknown kind of stiffness or of execution.
     """
 
     setup: ClassVar[Setup]
@@ -98,14 +100,21 @@ class ArchTask(Task):
     """Constant stiffness before learning, s⁰ [N/m], where none was demonstrated."""
     stiffness: Literal["diagonal", "isotropic"] = "diagonal"
     """A stiffness for each axis, or one for both."""
+    execution: Literal["open", "closed", "passive"] = "open"
+    """The policy sees its own reference, the point mass under impedance control, or that under the passive controller."""
 
     def __post_init__(self) -> None:
         if self.stiffness not in ("diagonal", "isotropic"):
             raise InvalidArgumentError(f"stiffness has to be 'diagonal' or 'isotropic', got {self.stiffness!r}")
+        if self.execution not in ("open", "closed", "passive"):
+            raise InvalidArgumentError(f"execution has to be 'open', 'closed' or 'passive', got {self.execution!r}")
         self.goal = torch.zeros(2, dtype=torch.float64)
         self.via_points = torch.tensor(self.setup.via_points, dtype=torch.float64)
         mass = PointMass(mass=1.0, damping=1.0, force=self.force())
+        self.feedback = self.execution != "open"
         self.plant = ImpedanceControlled(mass, form=self.form, low=self.low, high=self.high)
+        if self.execution == "passive":
+            self.plant = PassiveControlled(mass, None, low=self.low, high=self.high)
 
     @abstractmethod
     def force(self) -> Force:
@@ -136,13 +145,12 @@ class ArchTask(Task):
 
     def diagnostics(self, path: Rollout) -> dict[str, Tensor]:
         """Share of clamped stiffness, mean stiffness, and energy that its changes inject, `(*batch, *points)`."""
-        plant = self.plant
-        assert isinstance(plant, ImpedanceControlled)
-        return {
-            "stiffness/clamped": clamped_share(path, plant),
+        assert isinstance(self.plant, ImpedanceControlled | PassiveControlled)
+        said = {
+            "stiffness/clamped": clamped_share(path, self.plant),
             "stiffness/mean": path.plant.stiffness[..., 1:, :].mean((-2, -1)),
-            "stiffness/injected_energy": injected_energy(path),
         }
+        return said if self.execution == "passive" else {**said, "stiffness/injected_energy": injected_energy(path)}
 
     def scene(self) -> Scene:
         """Start, goal and via-points."""

@@ -37,6 +37,21 @@ def test_a_step_is_the_implicit_equation(randn):
     assert_close(after.x, x + 0.1 * after.v, rtol=0, atol=1e-15)
 
 
+def test_the_stiffness_of_a_policy_is_the_damping_that_belongs_to_it(randn):
+    v, f, s = randn(20, 2), randn(20, 2), 50 * randn(20, 2).abs()
+    learned = PassiveControlled(PointMass(2.0, 0.0), None, low=10.0, high=40.0)
+    after = learned.step(learned.reset(v)._replace(v=v), command(f)._replace(stiffness=s))
+    assert torch.equal(after.stiffness, s.clamp(10.0, 40.0))
+    for i in range(20):
+        along, across = (2 * (2.0 * after.stiffness[i]).sqrt()).tolist()
+        fixed = PassiveControlled(PointMass(2.0, 0.0), along, across)
+        assert_close(
+            after.v[i], fixed.step(fixed.reset(v[i])._replace(v=v[i]), command(f[i])).v, rtol=1e-12, atol=1e-12
+        )
+    with pytest.raises(InvalidArgumentError, match=r"a policy without stiffness says no damping; .*along="):
+        learned.step(learned.reset(v), command(f))
+
+
 def test_where_the_field_ends_the_damping_is_the_same_in_all_directions(randn):
     plant, v = PassiveControlled(PointMass(1.0, 0.0), along=50.0, across=5.0), randn(20, 2)
     after = plant.step(plant.reset(torch.zeros(20, 2).double())._replace(v=v), command(torch.zeros(20, 2).double()))
@@ -104,6 +119,8 @@ def test_it_is_a_plant():
     [
         ({"along": -1.0}, "along has to be finite and at least 0, got -1.0"),
         ({"across": float("inf")}, "across has to be finite and at least 0"),
+        ({"along": None, "across": 1.0}, "across=1.0 needs along="),
+        ({"low": 2.0, "high": 1.0}, "0 ≤ low ≤ high"),
         ({"tank": 2.0, "capacity": 1.0}, "tank has to be between 0 and capacity=1.0, got 2.0"),
     ],
 )

@@ -1,9 +1,17 @@
 """The arch that both force fields share: its curve, and three motions that pass beside it."""
 
 import numpy as np
+import pytest
 import torch
 
+import tasks
 from tasks.force_fields.base import arch, arch_demonstrations
+from tasks.trials import Trials
+from torchds.errors import InvalidArgumentError
+from torchds.passive import PassiveState
+from torchds.plants import PointMassState
+from train.learning.learner import Learner
+from train.options import options_for
 
 
 def test_the_arch_leads_from_its_start_to_the_origin_in_one_bow():
@@ -25,3 +33,38 @@ def test_the_demonstrations_pass_beside_the_arch_by_the_bias_half_way_and_end_sl
         for d in demos:
             assert float(d.x[-1].norm()) < 1e-6
             assert float(d.v[-1].norm()) < 0.2 * float(d.v[0].norm())
+
+
+# ---------------------------------------------------------------------- open loop, closed loop, passive
+
+
+@pytest.mark.parametrize("execution", ["open", "closed", "passive"])
+def test_each_execution_is_that_roll_out(execution):
+    task = tasks.make("half_plane_force", execution=execution)
+    task.motion = lambda: type(task).motion(task)._replace(n_steps=12)
+    policy = task.policy().requires_grad_(False)
+    path = task.rollout(policy)
+    seen = path.reference if execution == "open" else path.x
+    torch.testing.assert_close(path.inputs, seen[..., :-1, :], rtol=0, atol=0)
+    assert isinstance(path.plant, PassiveState if execution == "passive" else PointMassState)
+    assert float(path.plant.stiffness[..., 1:, :].min()) > 1  # what the policy asks for is what is applied, and costs
+    assert set(task.cost_terms(path)) == {"via_points", "goal", "acceleration", "stiffness"}
+    assert ("stiffness/injected_energy" in task.diagnostics(path)) == (execution != "passive")
+    trials = Trials(task, 1)
+    while not trials.done:
+        trials.step(torch.zeros(1, trials.n_actions, dtype=torch.float64))
+    torch.testing.assert_close(trials.path().x[0], path.x, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("execution", ["closed", "passive"])
+def test_learning_works_in_closed_loop(execution):
+    learner = Learner(options_for("half_plane_force", runs=4, updates=12, execution=execution))
+    learner.learn()
+    cost = torch.tensor(learner.history.cost)
+    assert bool((cost[-1] < 0.8 * cost[0]).all())
+
+
+def test_an_execution_that_is_none_is_refused():
+    with pytest.raises(InvalidArgumentError, match="execution has to be 'open', 'closed' or 'passive', got 'shut'"):
+        tasks.make("divergent_field", execution="shut")
