@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.faults import cases
-from torchds import GMRPolicy, archives, files
+from torchds import GaussianMixture, GMRPolicy, archives, files
 from torchds.errors import FileError, TorchdsError
 from train.folder import RunFolder
 from train.hardware import given
@@ -15,7 +15,7 @@ from train.paper.claims import command as claims
 from train.paper.claims.base import Check
 from train.paper.measured.digging import Experiment
 
-PLACES = 200 if cases.CASES else 40
+PLACES = 200 if cases.CASES else 20
 OPTIONS = options_for("via_point", runs=2, updates=3)
 HISTORY = History([0, 5], [[1.5, 2.5], [0.5, float("nan")]], {"goal": [[1.5, 2.5], [0.5, 0.1]]}, [0, 1], [0, 5], 3.25)
 TENSORS = {"A": torch.arange(24, dtype=torch.float64).reshape(2, 3, 4), "b": torch.ones(3)}
@@ -35,6 +35,13 @@ class Learned:
 
     def load_state_dict(self, state):
         self.state = state
+
+
+MIXTURE = GaussianMixture(torch.ones(1), torch.arange(4.0)[None], torch.eye(4)[None])
+
+
+def numbers(mixture):
+    return {"priors": mixture.priors, "means": mixture.means, "covariances": mixture.covariances}
 
 
 def restored(folder):
@@ -86,6 +93,10 @@ KINDS = {
     "gravel.pt": (
         lambda folder: files.save(folder / "gravel.pt", "bed of gravel", {"key": "k", "places": TENSORS["A"]}),
         lambda folder: files.load(folder / "gravel.pt", "bed of gravel"),
+    ),
+    "mixture.npz": (
+        lambda folder: MIXTURE.save(folder / "mixture.npz"),
+        lambda folder: numbers(GaussianMixture.load(folder / "mixture.npz")),
     ),
     "demonstrations.npz": (
         lambda folder: files.write_npz(folder / "demonstrations.npz", {"x": np.arange(50.0), "dt": np.array(0.1)}),

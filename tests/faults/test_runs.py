@@ -1,6 +1,8 @@
 """Runs, comparisons, sessions and the digging experiment survive every interruption, and resume as what they were."""
 
 import json
+import os
+import re
 import shutil
 import subprocess
 import sys
@@ -26,7 +28,9 @@ ROOT = Path(__file__).parents[2]
 GIVEN = {"runs": 2, "updates": 3, "rollouts": 4}
 KILLS = 300 if cases.CASES else 3
 """Interruptions of each command and kind in `make fuzz`, and in a run of the tests, which has one kind for each command."""
-USUAL = {("run", "kill"), ("compare", "broken"), ("session", "read-only"), ("digging", "kill")}
+COMMANDS, FAULTS = ("run", "compare", "session", "digging"), ("kill", "full", "broken", "read-only")
+USUAL = (("run", "kill"), ("compare", "broken"), ("session", "read-only"), ("digging", "kill"))
+PAIRS = [(command, fault) for command in COMMANDS for fault in FAULTS] if cases.CASES else USUAL
 
 
 @pytest.fixture(autouse=True)
@@ -58,16 +62,26 @@ def steps(folder):
     }
 
 
+@pytest.fixture(scope="module")
+def interrupted():
+    """What the killer says of each command and fault, all in one process, in which no OpenGL library is found."""
+    typed = [argument for command, fault in PAIRS for argument in (command, str(KILLS), fault)]
+    environment = {**os.environ, "MUJOCO_GL": "osmesa"}
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.faults.killer", *typed], cwd=ROOT, capture_output=True, text=True, env=environment
+    )
+    return re.split(r"^(?=\| )", ended.stdout, flags=re.M)[1:], ended.stderr
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["kill", "full", "broken", "read-only"])
-@pytest.mark.parametrize("command", ["run", "compare", "session", "digging"])
-def test_interrupted_at_any_write_and_typed_again_a_command_ends_as_if_nothing_had_happened(command, fault):
-    if not cases.CASES and (command, fault) not in USUAL:
-        pytest.skip("in make fuzz")
-    typed = [sys.executable, "-m", "tests.faults.killer", command, str(KILLS), fault]
-    ended = subprocess.run(typed, cwd=ROOT, capture_output=True, text=True)
+@pytest.mark.parametrize(("command", "fault"), PAIRS)
+def test_interrupted_at_any_write_and_typed_again_a_command_ends_as_if_nothing_had_happened(
+    interrupted, command, fault
+):
+    said, errors = interrupted
+    (row,) = [row for row in said if row.startswith(f"| {command} |") and f"| {fault} |" in row] or [errors]
     cases.TRIED["test_runs"] += KILLS
-    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert f"| {KILLS} | 0 |" in row, row
 
 
 # ------------------------------------------------------------------ TensorBoard
@@ -260,6 +274,7 @@ def test_a_place_that_cannot_be_written_is_one_line_and_exit_code_2(logdir, caps
     assert said.startswith("error: the folder /") and said.count("\n") == 1 and "Traceback" not in said
 
 
-def test_a_missing_gl_library_stops_nothing_that_draws_nothing():
-    code = "import os; os.environ['MUJOCO_GL'] = 'osmesa'; import tasks.digging.task"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+@pytest.mark.slow
+def test_a_missing_gl_library_stops_nothing_that_draws_nothing(interrupted):
+    said, errors = interrupted
+    assert any(row.startswith("| digging |") for row in said), errors
