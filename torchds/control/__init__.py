@@ -4,7 +4,8 @@ Stability: stable.
 """
 
 from torchds.control.controller import Controller as Controller
+from torchds.control.passive import PassiveLaw as PassiveLaw
 from torchds.control.plan import Cut as Cut
 from torchds.control.tick import Tick as Tick
 
-__all__ = ["Controller", "Cut", "Tick"]
+__all__ = ["Controller", "Cut", "PassiveLaw", "Tick"]
