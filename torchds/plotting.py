@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchds import poses
 from torchds.demonstrations import Demonstrations
-from torchds.errors import MissingPackageError
+from torchds.errors import InvalidArgumentError, MissingPackageError
 from torchds.files import write_atomically
 from torchds.policy import GMRPolicy
 
@@ -32,22 +33,49 @@ DEMONSTRATION = "#e8a33d"
 GAUSSIAN = "#b03a8c"
 BEFORE = "#7a7a7a"
 AFTER = "#c8201e"
+FRAME = ("#c8201e", "#2a9d5c", "#1f5fa8")
 TERMS = ("#1f5fa8", "#2a9d5c", "#8d6cc3", "#c98a1b", "#4bb3c2", "#8a5a3c")
 
 
-def limits(*tracks: Tensor, margin: float = 0.12) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Axis limits around all finite points of 2-D tracks `(..., 2)`, with a relative margin."""
-    points = torch.cat([t.detach().double().reshape(-1, 2) for t in tracks])
+def limits(*tracks: Tensor, margin: float = 0.12, dims: int = 2) -> tuple[tuple[float, float], ...]:
+    """Axis limits around all finite points of tracks `(..., D)` in their first `dims` dimensions, with a relative margin."""
+    points = torch.cat([t.detach().double()[..., :dims].reshape(-1, dims) for t in tracks])
     points = points[points.isfinite().all(-1)]
     low, high = points.amin(0), points.amax(0)
     pad = margin * (high - low).clamp_min(1e-9).max()
-    (x0, y0), (x1, y1) = (low - pad).tolist(), (high + pad).tolist()
-    return (x0, x1), (y0, y1)
+    return tuple(zip((low - pad).tolist(), (high + pad).tolist(), strict=True))
+
+
+def shown(axes: Axes, what: str, x: Tensor) -> Tensor:
+    """The dimensions of `x` `(..., D)` that the axes have: the first two, or three of 3-D axes.
+
+    Raises:
+        InvalidArgumentError: `x` has fewer.
+    """
+    n = 3 if axes.name == "3d" else 2
+    if x.shape[-1] < n:
+        raise InvalidArgumentError(f"{what} of {x.shape[-1]} dimensions cannot be drawn into axes of {n}")
+    return x.detach().cpu()[..., :n]
+
+
+def check_plane(axes: Axes, what: str) -> None:
+    """Refuse axes that are no plane."""
+    if axes.name == "3d":
+        raise InvalidArgumentError(
+            f"{what} can be drawn in a plane only, got 3-D axes; draw trajectories and frames there"
+        )
 
 
 @torch.no_grad()
 def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
-    """The velocity of a 2-D policy as streamlines over the axes' present limits (Fig. 1)."""
+    """The velocity of a 2-D policy as streamlines over the axes' present limits (Fig. 1).
+
+    Raises:
+        InvalidArgumentError: 3-D axes, or a policy of another number of inputs.
+    """
+    check_plane(axes, "a field")
+    if policy.input_dim != 2:
+        raise InvalidArgumentError(f"the field of a policy of two inputs can be drawn, got one of {policy.input_dim}")
     xs, ys = (np.linspace(*lim, resolution) for lim in (axes.get_xlim(), axes.get_ylim()))
     grid = np.stack(np.meshgrid(xs, ys), -1)
     v = policy(torch.as_tensor(grid, dtype=policy.means.dtype, device=policy.means.device)).cpu().numpy()
@@ -55,7 +83,13 @@ def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
 
 
 def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (1 sd)") -> None:
-    """The gating's Gaussians as ellipses of one standard deviation in the first two inputs."""
+    """The gating's Gaussians as ellipses of one standard deviation in the first two inputs.
+
+    Raises:
+        InvalidArgumentError: 3-D axes, or a policy of one input.
+    """
+    check_plane(axes, "Gaussians")
+    shown(axes, "Gaussians", policy.means)
     for k, (mean, covariance) in enumerate(zip(policy.means.cpu(), policy.covariances.cpu(), strict=True)):
         values, vectors = np.linalg.eigh(covariance[:2, :2].numpy())
         angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
@@ -68,42 +102,72 @@ def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (
 
 
 def demonstrations(axes: Axes, demos: Demonstrations) -> None:
-    """Demonstrated positions in the first two dimensions."""
+    """Demonstrated positions in the dimensions of the axes, two or three."""
     for i, demo in enumerate(demos):
         label = "demonstrations" if i == 0 else "_nolegend_"
-        axes.plot(*demo.x[:, :2].T.cpu(), color=DEMONSTRATION, lw=1.6, ls=(0, (5, 2)), zorder=2, label=label)
+        axes.plot(
+            *shown(axes, "demonstrations", demo.x).T, color=DEMONSTRATION, lw=1.6, ls=(0, (5, 2)), zorder=2, label=label
+        )
 
 
 def trajectories(axes: Axes, x: Tensor, *, color: str, label: str, lw: float = 2.2, alpha: float = 1.0) -> None:
-    """Tracks `(*batch, T+1, D)` in the first two dimensions, with one entry in the legend."""
-    tracks = x.detach().cpu()[..., :2].reshape(-1, *x.shape[-2:-1], 2)
-    for i, track in enumerate(tracks):
+    """Tracks `(*batch, T+1, D)` in the dimensions of the axes, two or three, with one entry in the legend."""
+    tracks = shown(axes, "trajectories", x)
+    for i, track in enumerate(tracks.reshape(-1, *tracks.shape[-2:])):
         axes.plot(*track.T, color=color, lw=lw, alpha=alpha, zorder=5, label=label if i == 0 else "_nolegend_")
 
 
 def markers(axes: Axes, starts: Tensor, goal: Tensor, via_points: Mapping[str, Tensor]) -> None:
     """Starts as squares, the goal as a star, sets of via-points as crossed circles."""
-    axes.plot(*starts[:, :2].T.cpu(), "s", color="black", ms=8, zorder=7, label="start")
-    axes.plot(*goal[:2, None].cpu(), "*", color="black", ms=14, zorder=7, label="goal")
+    axes.plot(*shown(axes, "starts", starts).T, "s", color="black", ms=8, zorder=7, label="start")
+    axes.plot(*shown(axes, "a goal", goal)[:, None], "*", color="black", ms=14, zorder=7, label="goal")
     for (name, points), cross in zip(via_points.items(), ("x", "+", "1", "2"), strict=False):
-        x, y = points[:, :2].T.cpu()
-        axes.plot(x, y, "o", mfc="none", mec="black", ms=11, mew=1.5, zorder=7, label=name)
-        axes.plot(x, y, cross, color="black", ms=8, mew=1.5, zorder=7)
+        at = shown(axes, "via-points", points).T
+        axes.plot(*at, "o", mfc="none", mec="black", ms=11, mew=1.5, zorder=7, label=name)
+        axes.plot(*at, cross, color="black", ms=8, mew=1.5, zorder=7)
+
+
+def frames(axes: Axes, x: Tensor, goal: Tensor, *, size: float, n: int = 8) -> None:
+    """The frames of the tool along a motion of poses, axes in red, green and blue, into 3-D axes.
+
+    Args:
+        axes: 3-D ones.
+        x: `(T+1, 6)` [p, r], see `torchds.poses`.
+        goal: `(4,)` orientation at which r is zero, the scalar first.
+        size: length of the axes [unit of the positions].
+        n: how many, evenly over time; the first and the last among them.
+
+    Raises:
+        InvalidArgumentError: axes of a plane, or states that are no poses.
+    """
+    if axes.name != "3d" or x.ndim != 2 or x.shape[-1] != 6:
+        raise InvalidArgumentError(f"frames need 3-D axes and states (T+1, 6), got {axes.name} and {tuple(x.shape)}")
+    chosen = x.detach().cpu()[torch.linspace(0, len(x) - 1, n).round().long()]
+    for position, matrix in zip(chosen[:, :3], poses.matrix(chosen, goal.detach().cpu()), strict=True):
+        for direction, color in zip(matrix.T, FRAME, strict=True):
+            axes.plot(*torch.stack([position, position + size * direction]).T, color=color, lw=1.5, zorder=6)
 
 
 def walls(axes: Axes, segments: Tensor) -> None:
-    """Walls `(W, 2, D)` in the first two dimensions, as thick lines."""
+    """Walls `(W, 2, D)` in the first two dimensions, as thick lines.
+
+    Raises:
+        InvalidArgumentError: 3-D axes.
+    """
+    check_plane(axes, "walls")
     for i, segment in enumerate(segments[..., :2].cpu()):
         label = "walls" if i == 0 else "_nolegend_"
         axes.plot(*segment.T, color="black", lw=4, solid_capstyle="round", zorder=6, label=label)
 
 
-def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("x1", "x2")) -> None:
+def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("x1", "x2", "x3")) -> None:
     """Equal aspect, axis labels with the unit, title, and the legend below the map."""
     axes.set_aspect("equal")
     suffix = f" [{unit}]" if unit else ""
     axes.set_xlabel(names[0] + suffix)
     axes.set_ylabel(names[1] + suffix)
+    if axes.name == "3d":
+        axes.set_zlabel(names[2] + suffix)  # type: ignore[attr-defined]
     axes.set_title(title)
     axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5, ncols=3, frameon=False)
 

@@ -125,6 +125,18 @@ def quaternion(x: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
     return _in_order(_product(_goal(goal, turned, order), turned), order)
 
 
+def matrix(x: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
+    """The rotation matrix `(..., 3, 3)` of a state, from the frame of the tool to the base frame.
+
+    Args:
+        x: `(..., D)`, whose last three are r.
+        goal: `(4,)` or `(..., 4)`.
+        order: where the scalar of `goal` stands.
+    """
+    q = _scalar_first(quaternion(x, goal, order=order), order).unsqueeze(-2)
+    return _rotated(q, torch.eye(3, dtype=q.dtype, device=q.device)).mT
+
+
 def angular_velocity(x: Array, v: Array, goal: Array, *, order: Order = "wxyz") -> Tensor:
     r"""ω `(..., 3)` in the base frame [rad/s], exactly that of a motion in r.
 

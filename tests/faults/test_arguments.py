@@ -262,6 +262,7 @@ CASES = {
     ),
     "poses.rotation_vector": (poses.rotation_vector, {"quaternion": randn(3, 4), "goal": randn(4, seed=3)}),
     "poses.quaternion": (poses.quaternion, {"x": randn(3, 6), "goal": randn(4)}),
+    "poses.matrix": (poses.matrix, {"x": randn(3, 6), "goal": randn(4)}),
     "poses.angular_velocity": (poses.angular_velocity, {"x": randn(3, 6), "v": randn(3, 6, seed=3), "goal": randn(4)}),
     "poses.last_orientation": (lambda quaternion: poses.last_orientation([quaternion]), {"quaternion": TURNING}),
     "poses.from_poses": (
@@ -304,7 +305,8 @@ ANY_LENGTH = {
     ("mixture.GaussianMixture.condition", "x"), ("mixture.GaussianMixture.fit", "data"), ("mixture.joint_samples", "data"),
     ("optim.functional.cost_weights", "costs"), ("optim.functional.relative_costs", "costs"),
     ("optim.functional.informative", "costs"), ("mending.Mending.from_samples", "positions"),
-    ("demonstrations.Demonstrations", "stiffness"), ("poses.quaternion", "x"), ("poses.angular_velocity", "x"),
+    ("demonstrations.Demonstrations", "stiffness"), ("poses.quaternion", "x"), ("poses.matrix", "x"),
+    ("poses.angular_velocity", "x"),
     ("poses.angular_velocity", "v"), ("preparation.Preparation.with_stiffness", "value"),
 }  # fmt: skip
 OPTIONAL = {"P", "stiffness_A", "stiffness_b", "direction", "torque_limit", "gating", "free", "velocities"}

@@ -10,8 +10,8 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from tests.motions import two
-from torchds import plotting
-from torchds.errors import FileError, MissingPackageError
+from torchds import Demonstrations, plotting
+from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
 
 
 @pytest.fixture
@@ -29,6 +29,58 @@ def test_limits_hold_all_finite_points_with_a_margin():
     assert (x0, x1, y0, y1) == (-2.0, 2.0, 0.0, 4.0)  # the box [-1, 1] x [1, 3], half of its longer side added
     (x0, x1), _ = plotting.limits(torch.ones(3, 2))
     assert x0 < 1 < x1
+
+
+@pytest.fixture
+def space():
+    return Figure().add_subplot(projection="3d")
+
+
+def test_limits_of_more_dimensions_are_those_of_the_first_ones():
+    track = torch.tensor([[0.0, 1.0, 2.0], [4.0, 3.0, 7.0]])
+    assert plotting.limits(track, margin=0.5) == ((-2.0, 6.0), (-1.0, 5.0))
+    assert plotting.limits(track, margin=0.0, dims=3) == ((0.0, 4.0), (1.0, 3.0), (2.0, 7.0))
+
+
+def test_motions_in_space_have_their_third_dimension(space):
+    track = torch.rand(2, 5, 6)
+    plotting.trajectories(space, track, color="black", label="motion")
+    plotting.demonstrations(space, Demonstrations([track[0]], dt=0.1))
+    plotting.markers(space, track[:, 0], track[0, -1], {"via": track[0, 1:3]})
+    plotting.finish_map(space, "space", "m")
+    for line, drawn in zip(space.lines, (*track, track[0]), strict=False):
+        np.testing.assert_allclose(np.stack(line.get_data_3d(), -1), drawn[:, :3], rtol=1e-6)
+    assert space.get_zlabel() == "x3 [m]" and legend(space) == ["motion", "demonstrations", "start", "goal", "via"]
+
+
+def test_frames_along_a_motion_are_the_axes_of_its_orientation(space):
+    goal = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    turn = torch.linspace(0, np.pi / 2, 11, dtype=torch.float64)
+    x = torch.stack([turn, 0 * turn, 0 * turn, 0 * turn, 0 * turn, turn], -1)  # about z, while it moves along x
+    plotting.frames(space, x, goal, size=0.5, n=3)
+    assert len(space.lines) == 9
+    ends = np.stack([np.stack(line.get_data_3d(), -1) for line in space.lines])
+    np.testing.assert_allclose(ends[:, 0, 0], np.repeat([0, np.pi / 4, np.pi / 2], 3), atol=1e-12)
+    np.testing.assert_allclose(
+        ends[6:, 1] - ends[6:, 0], 0.5 * np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), atol=1e-12
+    )
+
+
+def test_what_cannot_be_drawn_is_refused(axes, space, random_policy):
+    for call, words in (
+        (lambda: plotting.field(space, random_policy()), "a field can be drawn in a plane only, got 3-D axes"),
+        (lambda: plotting.gaussians(space, random_policy()), "Gaussians can be drawn in a plane only"),
+        (lambda: plotting.walls(space, torch.zeros(1, 2, 2)), "walls can be drawn in a plane only"),
+        (lambda: plotting.field(axes, random_policy(D=3, O=3)), "of two inputs can be drawn, got one of 3"),
+        (
+            lambda: plotting.gaussians(axes, random_policy(D=1, O=1)),
+            "Gaussians of 1 dimensions cannot be drawn into axes of 2",
+        ),
+        (lambda: plotting.trajectories(space, torch.zeros(4, 2), color="k", label=""), "of 2 dimensions .* axes of 3"),
+        (lambda: plotting.frames(axes, torch.zeros(4, 6), torch.ones(4), size=1.0), "frames need 3-D axes and states"),
+    ):
+        with pytest.raises(InvalidArgumentError, match=words):
+            call()
 
 
 def test_streamlines_follow_the_velocity_of_the_policy(axes, random_policy):

@@ -50,6 +50,14 @@ def test_it_is_the_rotation_in_the_frame_of_the_goal_that_scipy_finds():
     )
 
 
+def test_the_matrix_is_that_of_scipy():
+    r = turned(ANGLES)
+    expected = Rotation.from_quat(GOAL[[1, 2, 3, 0]].numpy()) * Rotation.from_rotvec(r.numpy())
+    for order in ("wxyz", "xyzw"):
+        matrix = poses.matrix(r, poses._in_order(GOAL, order), order=order)
+        assert_close(matrix, torch.from_numpy(expected.as_matrix()), **EXACT)
+
+
 def test_a_turn_of_pi_has_one_vector_for_both_signs():
     q = torch.tensor([0.0, 0.0, -1.0, 0.0], dtype=torch.float64)
     one = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
