@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar, dataclass_transform
+from typing import Any, ClassVar, Generic, Self, TypeVar, dataclass_transform
 
 import numpy as np
 import torch
@@ -16,6 +16,8 @@ from torch import Tensor
 from tasks.imitation import without_stiffness
 from tasks.settings import Convention, Motion, Scene, SearchSettings
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, costs, load, rollout
+from torchds.devices import Device, moved
+from torchds.errors import InvalidArgumentError
 from torchds.plants import Plant
 from torchds.stops import StopCondition
 
@@ -39,14 +41,14 @@ class Given(Generic[T]):
         self.given, self.used = f"given_{name}", f"_{name}"
 
     def __set__(self, task: Task, value: T | str | Path | None) -> None:
-        found = self.read(Path(value)) if isinstance(value, (str, Path)) else value
+        found = moved(self.read(Path(value)) if isinstance(value, (str, Path)) else value, *task.place)
         task.__dict__.update({self.given: found, self.used: found})
 
     def __get__(self, task: Task | None, owner: type) -> T:
         if task is None:
             return None  # type: ignore[return-value] # the default of the field
         if task.__dict__[self.used] is None:
-            task.__dict__[self.used] = self.make(task)
+            task.__dict__[self.used] = moved(self.make(task), *task.place)
         return task.__dict__[self.used]
 
 
@@ -70,6 +72,8 @@ class Task(ABC):
         plant: what tracks the motion; None where the motion itself counts.
         feedback: whether the policy sees the plant; see `torchds.rollout`.
         stop: what ends it early; None for nothing.
+        cpu_only: whether trials cannot be made on a GPU.
+        place: device and dtype that `to` has brought everything to; None where it was not asked to.
     """
 
     demonstrations: Given[Demonstrations] = Given(load, lambda task: task.default_demonstrations())
@@ -83,12 +87,14 @@ class Task(ABC):
     exploration: ClassVar[str] = "homogeneous"
     n_components: ClassVar[int] = 4
     covariance_floor: ClassVar[float | None] = None
+    cpu_only: ClassVar[bool] = False
     given_demonstrations: Demonstrations | None = field(default=None, init=False)
     given_mixture: GaussianMixture | None = field(default=None, init=False)
     search: SearchSettings = field(default=SearchSettings(), init=False)
     plant: Plant | None = field(default=None, init=False)
     feedback: bool = field(default=False, init=False)
     stop: StopCondition | None = field(default=None, init=False)
+    place: tuple[Device, torch.dtype | None] = field(default=(None, None), init=False)
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -160,6 +166,20 @@ class Task(ABC):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
+
+    def to(self, device: Device = None, dtype: torch.dtype | None = None) -> Self:
+        """This task, after all that it holds was moved to `device` and `dtype`, where given; what it makes later follows.
+
+        Raises:
+            InvalidArgumentError: a device on which no trials can be made.
+        """
+        if self.cpu_only and device is not None and torch.device(device).type != "cpu":
+            raise InvalidArgumentError(
+                f"the trials of {self.name} are made on the CPU alone, got {device}; leave it out"
+            )
+        self.place = (device or self.place[0], dtype or self.place[1])
+        self.__dict__.update(moved({**vars(self), "plant": self.plant, "stop": self.stop}, *self.place))
+        return self
 
     # ------------------------------------------------------------------ what follows from it
 

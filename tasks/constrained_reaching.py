@@ -15,6 +15,7 @@ from tasks.base import Task
 from tasks.imitation import without_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, Walls, costs, fit_stable
+from torchds.devices import moved
 from torchds.errors import InvalidArgumentError
 from torchds.fits import StableFit
 
@@ -71,14 +72,15 @@ class ConstrainedReaching(Task):
         tracks = []
         for offset in torch.tensor(OFFSETS, dtype=torch.float64):
             first, second = torch.tensor(CONTROLS, dtype=torch.float64) + 0.5 * offset
-            begin = self.start + offset
+            begin = torch.tensor(START, dtype=torch.float64) + offset
             tracks.append((1 - s) ** 3 * begin + 3 * s * (1 - s) ** 2 * first + 3 * s**2 * (1 - s) * second)
         return Demonstrations(tracks, dt=DEMONSTRATED / (len(s) - 1))
 
     @cached_property
     def stable_fit(self) -> StableFit:
         """The fit to the demonstrations."""
-        return fit_stable(self.demonstrations, N_COMPONENTS, self.condition, "likelihood", goal=self.goal)
+        fit = fit_stable(self.demonstrations, N_COMPONENTS, self.condition, "likelihood", goal=self.goal)
+        return moved(fit, *self.place)
 
     @property
     def P(self) -> Tensor | None:
@@ -88,7 +90,7 @@ class ConstrainedReaching(Task):
     def policy(self) -> GMRPolicy:
         """The imitated detour."""
         if self.given_mixture is not None:
-            return without_stiffness(self.given_mixture, 2, 2, "this task learns no stiffness")
+            return without_stiffness(self.mixture, 2, 2, "this task learns no stiffness")
         return copy.deepcopy(self.stable_fit.policy)
 
     def motion(self) -> Motion:

@@ -22,6 +22,7 @@ class DiggingOptions(Task):
 
     name = "lwr_digging"
     differentiable = False
+    cpu_only = True  # MuJoCo is
     search = SearchSettings(
         n_updates=10,
         n_rollouts=8,

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 from torch import Tensor
 
+from torchds.devices import Movable
 from torchds.exploration import Homogeneous
 from torchds.optim.functional import Temperature
 
@@ -72,7 +73,7 @@ PAPER_FLOOR = 1e-6
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(Movable):
     """What there is to see in a task, for figures.
 
     Attributes:

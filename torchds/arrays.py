@@ -137,7 +137,8 @@ def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1)
 def without_autocast(x: Tensor) -> AbstractContextManager[Any]:
     """A block in which matrix products on the device of `x` are as precise as their arguments, whatever is around it."""
     kind = x.device.type
-    return torch.autocast(kind, enabled=False) if torch.is_autocast_enabled(kind) else nullcontext()
+    known = torch.amp.is_autocast_available(kind)
+    return torch.autocast(kind, enabled=False) if known and torch.is_autocast_enabled(kind) else nullcontext()
 
 
 def matching(what: str, arrays: Sequence[Array] | Tensor, positions: list[Tensor]) -> list[Tensor]:

@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import Array, check_finite, check_labels, matching, per_demonstration, tensors
+from torchds.devices import Device, moved
 from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError
 from torchds.files import write_npz
 from torchds.mending import Mending
@@ -178,6 +179,10 @@ class Demonstrations(Mending):
     def dt(self) -> tuple[float, ...]:
         """Time step of each demonstration [s]."""
         return tuple(d.dt for d in self)
+
+    def to(self, device: Device = None, dtype: torch.dtype | None = None) -> Self:
+        """The same motions on `device` and in `dtype`, where given."""
+        return self._of((Demonstration(*moved(tuple(d), device, dtype)) for d in self), self.names, self.units)
 
     # -- out ----------------------------------------------------------------------------------------------------------
 

@@ -12,12 +12,13 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import Array, number, real
+from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import AWAY, AWAY_ALONG_NORMAL, BEYOND, CONSTANT, ScalarStep
 
 
 @dataclass(frozen=True)
-class ConstantForce:
+class ConstantForce(Movable):
     """The same force everywhere, or beyond a border only.
 
     Args:
@@ -49,7 +50,7 @@ class ConstantForce:
         return ScalarStep(BEYOND, torch.cat([where, self.force], -1))
 
 
-class DivergentForce:
+class DivergentForce(Movable):
     """A force away from the nearest point of a path, as large as the distance from it times a gain.
 
     Args:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchds.arrays import Array, beside, number, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
+from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
 from torchds.passive import PassiveControlled
@@ -21,7 +22,7 @@ from torchds.plants import Command, PointMass, PointMassState
 from torchds.rollouts import Rollout
 
 
-class ImpedanceControlled:
+class ImpedanceControlled(Movable):
     r"""A point mass under the impedance controller of Eq. 33, u = S (x^ref − x) + D (v^ref − v), itself a plant.
 
     S = diag(s) and D = diag(2 \sqrt{s m}): critically damped. The stiffness comes from the policy, or is constant.

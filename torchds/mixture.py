@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchds import em
 from torchds.arrays import Array, count, like, of_one_dtype, real
+from torchds.devices import Movable
 from torchds.errors import DegenerateMixtureError, FileError, InvalidArgumentError, LargestMixtureWarning
 from torchds.files import read_npz, write_npz
 
@@ -50,7 +51,7 @@ class Conditional(NamedTuple):
         return (self.priors.unsqueeze(-1) * self.means).sum(-2)
 
 
-class GaussianMixture:
+class GaussianMixture(Movable):
     """A mixture of K Gaussians over F variables, Σ_k π_k N(y; μ_k, Σ_k).
 
     Args:

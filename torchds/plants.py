@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import beside, number
+from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 
 Force = Callable[[float, Tensor, Tensor], Tensor]
@@ -69,7 +70,7 @@ class Plant(Protocol):
         """The state after one step under a command: a NamedTuple of tensors, `x` and `v` among them (docs/plants.md)."""
 
 
-class PointMass:
+class PointMass(Movable):
     """A point mass with viscous damping in an external force field, integrated as in Eq. 29-31.
 
     Args:

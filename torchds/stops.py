@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import Array, beside, real
+from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import BOUNDS, WALLS, ScalarStep
 
@@ -21,7 +22,7 @@ StopCondition = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Bounds(Movable):
     """The stop condition of a box: a step that would leave [low, high], or is not finite, is not taken.
 
     Args:
@@ -60,7 +61,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Walls:
+class Walls(Movable):
     """The stop condition of walls in the plane: a step that would cross or touch one is not taken.
 
     Args:

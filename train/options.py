@@ -13,6 +13,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
+import torch
 import tyro
 
 import tasks
@@ -79,6 +80,8 @@ class RunOptions:
     own if not given, nominal with surrogate."""
     learn: Literal["both", "motion", "stiffness"] = "both"
     """What the homogeneous exploration perturbs where a policy has a stiffness: motion and stiffness, or one of them."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where trials are made and policies learn; the noise is the same on both. The digging runs on the CPU alone."""
     convention: Literal["paper", "released"] = "paper"
     """The problem as the paper prints it, or as the authors' program runs it, where a task has both."""
     demonstrations: Path | None = None
@@ -104,8 +107,17 @@ class RunOptions:
         return {name: getattr(self, name) for name in (*own, "convention")}
 
     def make_task(self) -> tasks.Task:
-        """The task with these options."""
-        return tasks.make(self.task, **self.task_options())
+        """The task with these options, on their device.
+
+        Raises:
+            InvalidArgumentError: a device that is not there, or on which the task cannot be tried.
+        """
+        if self.device == "cuda" and not torch.cuda.is_available():
+            built = f"built for CUDA {torch.version.cuda}" if torch.version.cuda else "built for the CPU"
+            raise InvalidArgumentError(
+                f"--device cuda needs a GPU that torch can use, got none (torch {torch.__version__}, {built}); use --device cpu"
+            )
+        return tasks.make(self.task, **self.task_options()).to(self.device)
 
     @property
     def name(self) -> str:

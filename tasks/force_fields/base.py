@@ -108,6 +108,7 @@ class ArchTask(Task):
             raise InvalidArgumentError(f"stiffness has to be 'diagonal' or 'isotropic', got {self.stiffness!r}")
         if self.execution not in ("open", "closed", "passive"):
             raise InvalidArgumentError(f"execution has to be 'open', 'closed' or 'passive', got {self.execution!r}")
+        self.start = torch.tensor(self.setup.start, dtype=torch.float64)
         self.goal = torch.zeros(2, dtype=torch.float64)
         self.via_points = torch.tensor(self.setup.via_points, dtype=torch.float64)
         mass = PointMass(mass=1.0, damping=1.0, force=self.force())
@@ -135,8 +136,7 @@ class ArchTask(Task):
 
     def motion(self) -> Motion:
         """The motion from the one start."""
-        start = torch.tensor(self.setup.start, dtype=torch.float64)
-        return Motion(start, round(self.setup.duration / DT), DT)
+        return Motion(self.start, round(self.setup.duration / DT), DT)
 
     def effort(self, path: Rollout) -> tuple[Tensor, Tensor]:
         """Acceleration and stiffness of each step of each trajectory `(*batch, *points, T)`, not weighted."""
@@ -154,5 +154,4 @@ class ArchTask(Task):
 
     def scene(self) -> Scene:
         """Start, goal and via-points."""
-        start = torch.tensor([self.setup.start], dtype=torch.float64)
-        return Scene(start, self.goal, {"via-points": self.via_points}, unit=self.setup.unit)
+        return Scene(self.start[None], self.goal, {"via-points": self.via_points}, unit=self.setup.unit)

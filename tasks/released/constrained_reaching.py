@@ -11,6 +11,7 @@ from torch import Tensor
 from tasks.constrained_reaching import ConstrainedReaching
 from tasks.released.base import RELEASED_SEARCH, Released, released_plant
 from torchds import GMRPolicy, Rollout, Walls, plants
+from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command
 
@@ -32,7 +33,7 @@ class WalledMotion(NamedTuple):
     held: Tensor
 
 
-class WalledMass:
+class WalledMass(Movable):
     """The released program's tracking point mass among blocks: inside one, it and its reference rest for good.
 
     The controller goes on pulling, so its acceleration still counts.

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 # A module may import modules of its own rung and below.
 LIBRARY = [
-    {"errors"},
+    {"errors", "devices"},
     {"archives"},
     {"control"},
     {"kernels", "visits", "arrays", "em", "files", "findings", "locks"},

@@ -75,7 +75,7 @@ def stiffness_profile(path: Rollout) -> Figure:
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     assert path.stiffness is not None
-    s = path.stiffness.detach().reshape(-1, *path.stiffness.shape[-2:]).numpy()  # (M, T, Q)
+    s = path.stiffness.detach().reshape(-1, *path.stiffness.shape[-2:]).numpy(force=True)  # (M, T, Q)
     time = path.dt * np.arange(s.shape[1])
     for q in range(s.shape[-1]):
         low, middle, high = quartiles(s[..., q], axis=0)

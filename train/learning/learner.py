@@ -135,7 +135,7 @@ class Learner:
         try:
             history = History.of(state["history"], self.options.runs)
             for name, value in self.initial.state_dict().items():
-                if not torch.allclose(value, state["initial"][name], rtol=1e-6, atol=1e-9, equal_nan=True):
+                if not torch.allclose(value, state["initial"][name].to(value), rtol=1e-6, atol=1e-9, equal_nan=True):
                     raise InvalidArgumentError(
                         "it began with another policy: demonstrations or mixture have changed since"
                     )

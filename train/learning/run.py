@@ -73,7 +73,7 @@ def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
             raise InvalidArgumentError(
                 f"--updates {options.updates}: the run in {folder.path} has made {learner.done} already; give more, or none"
             )
-        if options.updates != before.updates:
+        if options != before:
             folder.begin(options.task, options.to_json())
             print(
                 f"{learner.done} updates are made, goes on to {learner.n_updates}; the noise keeps the decay that it was begun "
@@ -101,14 +101,14 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
     contradicting = [
         f"--{name.replace('_', '-')} {getattr(options, name)} (it was {getattr(before, name)})"
         for name in differing
-        if name != "updates"
+        if name not in ("updates", "device")
     ]
     if contradicting:
         raise InvalidArgumentError(
             f"--resume {folder.path} continues a run with its own options, and cannot take {', '.join(contradicting)}; leave "
             "them out, or begin another run"
         )
-    return replace(before, updates=options.updates) if differing else before
+    return replace(before, **{name: getattr(options, name) for name in differing})
 
 
 def decay(learner: Learner) -> str:

@@ -2,7 +2,7 @@
 
 A method is a generator. It yields the points that it wants to try and is sent what they cost; nothing else happens to it.
 So one record of answers, played to a new generator, brings any method back to where it was, bit for bit, whether its state
-is in three tensors or deep in the stack of a library.
+is in three tensors or deep in the stack of a library. Methods think on the CPU, wherever the trials are made.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def root(policy: GMRPolicy, exploration: Exploration) -> Tensor:
     """
     theta = policy.pack()
     P = theta.shape[-1]
-    unit = torch.eye(P, dtype=theta.dtype)[free_entries(policy)]
+    unit = torch.eye(P, dtype=theta.dtype, device=theta.device)[free_entries(policy)]
     unit = unit.reshape(-1, *(1,) * len(policy.batch_shape), P).expand(-1, *theta.shape)
     parts = policy.split(unit)
     names, parameters = zip(*policy.named_parameters(), strict=True)
@@ -156,7 +156,7 @@ class CoordinateSearch(Searcher):
 
     def theta(self, z: Tensor) -> Tensor:
         """The parameters `(..., runs, P)` at `z` `(..., runs, P)`."""
-        return self.center + (self.L @ z.unsqueeze(-1)).squeeze(-1)
+        return self.center + (self.L @ z.to(self.L).unsqueeze(-1)).squeeze(-1)
 
     def step(self, closure: Closure) -> Tensor:
         """Spend `n_rollouts` trials and leave the policies at what the method then recommends.
@@ -202,10 +202,10 @@ class CoordinateSearch(Searcher):
                 slopes = torch.autograd.grad(cost.sum(), tuple(free.values()), materialize_grads=True)
                 zero = {name: torch.zeros_like(p) for name, p in named.items()}
                 in_theta = self.policy.join({**zero, **dict(zip(free, slopes, strict=True))})
-                gradient = (self.L.mT @ in_theta.unsqueeze(-1)).squeeze(-1)
+                gradient = (self.L.mT @ in_theta.unsqueeze(-1)).squeeze(-1).cpu()
         finally:
             self.policy.unpack(present)
-        cost = cost.detach().to(self.L)
+        cost = cost.detach().to("cpu", self.L.dtype)
         return Answer(torch.where(cost.isfinite(), cost, torch.inf), gradient)
 
     def _check_cost(self, cost: Tensor, z: Tensor) -> None:
