@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchds.devices import Movable
 from torchds.plants import Command, Plant
 from torchds.stops import StopCondition
 
 
 @dataclass(frozen=True)
-class Rollout:
+class Rollout(Movable):
     """What happened along a roll-out.
 
     Attributes:

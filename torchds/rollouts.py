@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torchds import kernels, visits
 from torchds.arrays import Array, broadcast_shape, count, like, number, without_autocast
-from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.kernels import Backend, Setting, Unfit, own
 from torchds.moments import Moment as Moment
@@ -51,49 +50,6 @@ class DynamicalSystem(visits.LinearPolicy, Protocol):
 
     def outputs(self, features: Tensor, rows: Tensor) -> Tensor:
         """[ẋ; s] `(*batch, *points, O+Q)` from features and `rows`."""
-
-
-@dataclass(frozen=True)
-class Rollout(Movable):
-    """What happened along a roll-out.
-
-    Attributes:
-        x: `(*batch, *points, T+1, D)` states, the start first; of the plant where there is one.
-        v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests. With a plant, its velocities
-            at the ends of the steps, `(..., T, D)`.
-        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the first T reference states.
-        dt: time step [s].
-        resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
-        stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m], before any limits; what a plant applied is
-            `plant.stiffness`. None for a policy without stiffness.
-        reference: `(*batch, *points, T+1, D)` the motion that the policy generates; `x` itself without a plant.
-        inputs: `(*batch, *points, T, D)` what the policy saw: the first T reference states, less the shift.
-        plant: all that the plant went through (a `PointMassState` for a point mass), each field `(*batch, *points, T+1, ...)`;
-            None without a plant.
-    """
-
-    x: Tensor
-    v: Tensor
-    features: Tensor
-    dt: float
-    resting: Tensor | None
-    stiffness: Tensor | None
-    reference: Tensor
-    inputs: Tensor
-    plant: Any
-
-    @property
-    def gating(self) -> Tensor:
-        """h_k `(*batch, *points, T, K)` at the first T states."""
-        D = self.reference.shape[-1]
-        return self.features[..., D :: D + 1]
-
-    @property
-    def stopped(self) -> Tensor:
-        """`(*batch, *points)` True for the roll-outs that came to rest before the end."""
-        if self.resting is None:
-            return torch.zeros(self.x.shape[:-2], dtype=torch.bool, device=self.x.device)
-        return self.resting[..., -1]
 
 
 def rollout(
