@@ -174,7 +174,7 @@ def _fused(
     shift = None if shift is None else _checked_shift(shift, x0.expand(*lead, D))
     gating = (field.center, field.factors, field.offset, field.log_scale)
     kernels.check(rows, x0, *gating, shift)
-    if any(tensor.requires_grad for tensor in (*gating, shift) if tensor is not None) and torch.is_grad_enabled():
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gating, shift) if tensor is not None):
         raise Unfit("gradients for the gating or the shift need the eager loop")
     if 0 in lead:
         raise Unfit("there is no roll-out")

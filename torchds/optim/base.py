@@ -22,7 +22,7 @@ from torchds.optim.checkpoints import check_entries, finite
 from torchds.optim.drawing import Drawing
 from torchds.optim.elite import remember
 from torchds.optim.evaluation import Closure, Control, Table, Trial, as_costs, controls, evaluate
-from torchds.optim.functional import informative
+from torchds.optim.functional import informative, is_finite
 from torchds.optim.options import DEFAULTS, IN_GROUPS, SharedOptions, check_group, check_search, completed, described
 from torchds.optim.transaction import Snapshot
 from torchds.visits import Visit
@@ -260,7 +260,7 @@ class PolicySearch(Drawing):
         efforts = [0.5 * part.upsilon.flatten(cost.ndim).sum(-1) for part in control]
         effort = functools.reduce(torch.add, efforts) if efforts else torch.zeros_like(cost)
         cost = cost + effort
-        failed = ~cost.isfinite()
+        failed = ~is_finite(cost)
         if failed.all():
             raise AllRolloutsFailedError(
                 f"all {cost.numel()} roll-outs had a cost that is not finite; the parameters are unchanged. Explore less "
@@ -268,10 +268,11 @@ class PolicySearch(Drawing):
             )
         if self.elite == "best":
             remember(cost, noise, self.state)
-        before = {p: p.detach().clone() for p in noise}
+        moves = informative(cost)
+        before = {} if moves.all() else {p: p.detach().clone() for p in noise}
         weights = [self._update(group, epsilons, cost, trial.costs, control) for group, epsilons in groups]
-        if (equal := ~informative(cost)).any():
-            self._stay(equal, before)
+        if before:
+            self._stay(~moves, before)
         if not all(map(finite, self.parameters)):
             raise InvalidArgumentError(
                 "the update leads to parameters beyond the largest number; the parameters are unchanged. Explore less (lr)"
@@ -280,6 +281,8 @@ class PolicySearch(Drawing):
         self.last = Update(cost, effort, weights[0], failed)
         valid, n = torch.where(failed, 0.0, cost), (~failed).sum(0)
         mean = valid.sum(0) / n
+        if finite(mean):
+            return mean
         return torch.where(mean.isinf(), (valid / n).sum(0), mean)  # a sum beyond the largest number
 
     def _stay(self, equal: Tensor, before: Mapping[nn.Parameter, Tensor]) -> None:

@@ -92,6 +92,7 @@ def test_sensitivities(random_policy, randn, monkeypatch, K, D, O, Q, batch, poi
 def test_sensitivities_under_a_gating_of_its_own(random_mixture, randn, monkeypatch):
     policy = GMRPolicy.from_mixture(random_mixture(3, 5, batch=(5,)), 2, stiffness_dim=1)
     path = rollout(policy, randn(3, 2), 20, 0.05, backend="eager")
+    monkeypatch.setenv("TORCHDS_BACKEND", "auto")
     J = sensitivity(policy, path), stiffness_sensitivity(policy, path, sensitivity(policy, path))
     monkeypatch.setenv("TORCHDS_BACKEND", "eager")
     torch.testing.assert_close(J[0], sensitivity(policy, path))
@@ -106,6 +107,7 @@ def test_control_costs(randn, monkeypatch, points, weight):
         weight = randn(6, 3, 4, 12).abs() * (1.0 if weight == "diagonal" else (randn(4, 12) > 0))
     features[0, 0, ..., 7, :] = 0.0  # nothing visited: the noise costs nothing
     features[1, 1, ..., 8, 3] = torch.inf
+    monkeypatch.setenv("TORCHDS_BACKEND", "auto")
     fused = costs.control_cost(deviation, noise, features, weight)
     monkeypatch.setenv("TORCHDS_BACKEND", "eager")
     eager = costs.control_cost(deviation, noise, features, weight)
