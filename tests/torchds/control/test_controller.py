@@ -319,3 +319,35 @@ def test_a_file_without_a_time_step_asks_for_one(random_policy, tmp_path):
     assert Controller.load(tmp_path / "policy.pt", 0.1, feedback=True).feedback
     with pytest.raises(FileError, match="no such file"):
         Controller.load(tmp_path / "none.pt")
+
+
+@pytest.mark.slow
+def test_a_recorded_pose_motion_leaves_the_computer(tmp_path):
+    """CSV with quaternions, a stable fit, one file, and 10 s at 1 kHz where there is no torch: the goal's pose is reached."""
+    t = np.linspace(0, 4, 81)
+    s = (1 - t / 4) ** 2
+    angle = 2.0 * s  # rad, about an oblique axis, to a goal that is turned itself
+    axis, goal = np.array([0.6, 0.0, -0.8]), np.array([0.1, -0.7, 0.5, 0.5])
+    q = torchds.poses.quaternion(torch.from_numpy(angle[:, None] * axis), torch.from_numpy(goal), order="xyzw").numpy()
+    q[::7] *= -1  # the same orientations
+    table = np.column_stack([t, 0.3 * s, 0.2 * np.sin(2 * s), 0.4 - 0.1 * s, q])
+    np.savetxt(tmp_path / "pose.csv", table, delimiter=",", header="time,x,y,z,qx,qy,qz,qw", comments="")
+    with pytest.warns(torchds.errors.DemonstrationWarning, match="unit quaternion"):
+        raw = torchds.load(tmp_path / "pose.csv", positions=("x", "y", "z", "qx", "qy", "qz", "qw"))
+    turned = [d.x[:, 3:] for d in raw]
+    star = torchds.poses.last_orientation(turned, order="xyzw")
+    demos = torchds.poses.from_poses([d.x[:, :3] for d in raw], turned, raw.dt, star, order="xyzw")
+    fit = torchds.fit_stable(demos, n_components=2, n_steps=60)
+    fit.save(tmp_path / "policy.pt", names=demos.names, units="m and rad", dt=1e-3)
+    x0 = demos[0].x[0].tolist()
+    script = ROBOT.split("controller = ")[0] + (
+        "controller = torchds.Controller.load(sys.argv[1], max_speed=2.0)\n"
+        f"controller.reset({x0})\n"
+        "for _ in range(10_000):\n    tick = controller.step()\n"
+        "print(json.dumps(tick.x.tolist()))\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "policy.pt")]
+    end = torch.tensor(json.loads(subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout))
+    assert float((end - fit.goal).norm()) < 0.01
+    reached = torchds.poses.quaternion(end.double(), star, order="xyzw")
+    assert 2 * math.acos(min(1.0, abs(float(reached @ star)))) < math.radians(1)
