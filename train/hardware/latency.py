@@ -18,6 +18,7 @@ from train.tables import markdown
 
 SIZES = ((2, 4), (6, 10))
 """D and K."""
+ROUNDS = 20
 
 
 @dataclass
@@ -31,21 +32,23 @@ class Latency:
         """Print a table: median and 99th percentile for each form and size, in microseconds."""
         print(", ".join(f"{name} {value}" for name, value in versions().items()))
         header = ["form", *(f"D = {D}, K = {K}: {what} [µs]" for D, K in SIZES for what in ("median", "99 %"))]
-        columns = [{name: self.times(call) for name, call in forms(policy(D, K))} for D, K in SIZES]
+        columns = [self.times(dict(forms(policy(D, K)))) for D, K in SIZES]
         rows = [[name, *(f"{value:.1f}" for column in columns for value in column[name])] for name in columns[0]]
         print(markdown(header, rows, "l" + "r" * (len(header) - 1)))
 
-    def times(self, call: Callable[[], Any]) -> tuple[float, float]:
-        """Median and 99th percentile of a call [µs]."""
-        seconds = np.empty(self.ticks)
-        for _ in range(100):
-            call()
-        for i in range(self.ticks):
-            began = time.perf_counter()
-            call()
-            seconds[i] = time.perf_counter() - began
-        middle, high = 1e6 * np.quantile(seconds, [0.5, 0.99])
-        return float(middle), float(high)
+    def times(self, calls: dict[str, Callable[[], Any]]) -> dict[str, tuple[float, float]]:
+        """Median and 99th percentile of each call [µs], in turn, so that none of them has the quiet minute alone."""
+        seconds: dict[str, list[float]] = {name: [] for name in calls}
+        for _ in range(ROUNDS):
+            for name, call in calls.items():
+                for _ in range(50):
+                    call()
+                for _ in range(max(1, self.ticks // ROUNDS)):
+                    began = time.perf_counter()
+                    call()
+                    seconds[name].append(time.perf_counter() - began)
+        both = {name: 1e6 * np.quantile(values, [0.5, 0.99]) for name, values in seconds.items()}
+        return {name: (float(middle), float(high)) for name, (middle, high) in both.items()}
 
 
 def policy(D: int, K: int) -> GMRPolicy:
