@@ -103,9 +103,15 @@ def real(name: str, value: Array, axes: str = "(...)") -> Tensor:
         single = isinstance(value, np.ndarray) and value.dtype == np.float32
         device = value.device if isinstance(value, Tensor) else None
         value = like(name, value, torch.empty(0, dtype=torch.float32 if single else torch.float64, device=device))
-    if value.ndim < sum(axis not in ("...", "") and axis[0] != "*" for axis in axes.strip("()").split(", ")):
+    if value.ndim < _least(axes):
         raise InvalidArgumentError(f"{name} has to be {axes}, got shape {tuple(value.shape)}")
     return value
+
+
+@functools.cache
+def _least(axes: str) -> int:
+    """How many axes there are at least, from their names."""
+    return sum(axis not in ("...", "") and axis[0] != "*" for axis in axes.strip("()").split(", "))
 
 
 def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1) -> Tensor:
@@ -275,13 +281,11 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     Raises:
         RuntimeError: they do not broadcast.
     """
-    if all(shape == shapes[0] for shape in shapes):
-        return tuple(shapes[0])
-    n = max(map(len, shapes))
-    sizes = [
-        {size for size in each if size != 1}
-        for each in zip(*((1,) * (n - len(s)) + tuple(s) for s in shapes), strict=True)
-    ]
-    if any(len(each) > 1 for each in sizes):
-        raise RuntimeError(f"shapes {[tuple(shape) for shape in shapes]} do not broadcast")
-    return tuple(each.pop() if each else 1 for each in sizes)
+    found = list(max(shapes, key=len))
+    for shape in shapes:
+        for i in range(-1, -len(shape) - 1, -1):
+            if shape[i] not in (found[i], 1):
+                if found[i] != 1:
+                    raise RuntimeError(f"shapes {[tuple(each) for each in shapes]} do not broadcast")
+                found[i] = shape[i]
+    return tuple(found)
