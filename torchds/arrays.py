@@ -281,7 +281,8 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     Raises:
         RuntimeError: they do not broadcast.
     """
-    found = list(max(shapes, key=len))
+    longest = max(shapes, key=len)
+    found = list(longest)
     for shape in shapes:
         for i in range(-1, -len(shape) - 1, -1):
             if shape[i] not in (found[i], 1):
