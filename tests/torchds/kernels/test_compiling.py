@@ -92,3 +92,15 @@ def test_damaged_code_is_compiled_again(tmp_path, monkeypatch, damage):
         compiling.kept(doubled, ("float64",), (0, 3, x))(0, 3, x)
         path.write_bytes(whole)
     assert x.tolist() == [4.0] * 3
+
+
+def test_what_is_made_anew_of_the_same_code_is_compiled_once():
+    from torchds.kernels.compiling import jitted
+
+    def scaled(factor):
+        return lambda x: factor * x
+
+    assert jitted(scaled(2.0)) is jitted(scaled(2.0))
+    assert jitted(scaled(2.0)) is not jitted(scaled(3.0))
+    assert jitted(jitted(scaled(2.0))) is jitted(scaled(2.0))
+    assert jitted(scaled(2.0))(3.0) == 6.0
