@@ -38,7 +38,9 @@ from torchds.control import Controller as Controller
 
 try:
     import torch as _torch  # noqa: F401
-except ModuleNotFoundError:  # the computer of a robot: the controller needs numpy alone
+except ModuleNotFoundError as _missing:  # the computer of a robot: the controller needs numpy alone
+    if _missing.name != "torch":
+        raise
 
     def __getattr__(name: str) -> Any:
         raise AttributeError(

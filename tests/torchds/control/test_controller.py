@@ -284,7 +284,7 @@ import json, sys
 class Hidden:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] == "torch":
-            raise ModuleNotFoundError(name)
+            raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Hidden())
 import torchds
 controller = torchds.Controller.load(sys.argv[1], max_speed=100.0)
