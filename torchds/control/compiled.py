@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from torchds.control.plain import ACCELERATION, SPEED, WORKSPACE, Step
 from torchds.control.plan import Plan
+from torchds.errors import MissingPackageError
+
+try:
+    import numba
+except ImportError as error:
+    raise MissingPackageError("numba", "fast", "Controller(compiled=True)") from error
 
 
 def step(plan: Plan) -> Step:

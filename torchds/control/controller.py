@@ -5,7 +5,6 @@ Stability: stable.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import time
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from torchds import archives
 from torchds.control import plain
 from torchds.control.plan import Plan, plan
 from torchds.control.tick import Tick, ring
-from torchds.errors import InvalidArgumentError, MissingPackageError
+from torchds.errors import InvalidArgumentError
 
 
 class Controller:
@@ -251,8 +250,6 @@ def _vector(name: str, value: ArrayLike, D: int, *, single: bool = False) -> np.
 
 
 def _compiled(plan: Plan) -> plain.Step:
-    if importlib.util.find_spec("numba") is None:
-        raise MissingPackageError("numba", "fast", "Controller(compiled=True)")
     from torchds.control import compiled
 
     return compiled.step(plan)

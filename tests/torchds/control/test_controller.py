@@ -272,7 +272,9 @@ def test_starts_batches_and_steps_before_the_reset_are_refused(spring):
 
 
 def test_without_numba_the_extra_is_named(spring, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "torchds.control.compiled", raising=False)
+    monkeypatch.delattr(control, "compiled", raising=False)
     with pytest.raises(MissingPackageError, match=r"pip install 'torchds\[fast\]'"):
         Controller(spring, 0.1, compiled=True)
 
