@@ -72,8 +72,9 @@ def test_no_sample_and_no_update_leaves_the_stable_set(seed, D, K, log_condition
     try:
         noise = Stable(policy, Gaussian(size), goal, P, shrink=shrink)
         optim = PIBB(policy.parameters(), exploration=noise, n_rollouts=N, generator=generator)
-    except InvalidArgumentError as refused:  # a margin below what float32 resolves
-        assert dtype == torch.float32 and "resolves" in str(refused)
+    except InvalidArgumentError as refused:  # a margin below what float32 resolves, or already lost in rounding to it
+        lost = "is not stable" in str(refused) and violations(policy.A, P) > 0
+        assert dtype == torch.float32 and ("resolves" in str(refused) or lost)
         return
     for _ in range(2):
         tried = optim.ask()
