@@ -15,7 +15,7 @@ from train.paper.claims import command as claims
 from train.paper.claims.base import Check
 from train.paper.measured.digging import Experiment
 
-PLACES = 200 if cases.CASES else 20
+PLACES = min(200, cases.CASES) or 20
 OPTIONS = options_for("via_point", runs=2, updates=3)
 HISTORY = History([0, 5], [[1.5, 2.5], [0.5, float("nan")]], {"goal": [[1.5, 2.5], [0.5, 0.1]]}, [0, 1], [0, 5], 3.25)
 TENSORS = {"A": torch.arange(24, dtype=torch.float64).reshape(2, 3, 4), "b": torch.ones(3)}

@@ -65,7 +65,7 @@ def still(pose, force):
 
 
 def half_speed(pose, force):
-    steps = np.arange(T + 1)
+    steps = np.arange(pose.shape[1])
     pose[1] = torch.from_numpy(np.column_stack([np.interp(0.5 * steps, steps, c) for c in pose[1].numpy().T]))
 
 
