@@ -15,8 +15,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
+
+from torchds.errors import MissingPackageError
+
+try:
+    import numba
+except ImportError as error:  # not installed, or not for this numpy
+    raise MissingPackageError("numba", "fast", "compiled code") from error
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
@@ -24,6 +30,11 @@ MANY = 100_000  # time steps that are worth a second thread, or code for their s
 
 Form = tuple[Hashable, ...]
 """What the types of a loop's arguments depend on."""
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """`function`, compiled when it is first called."""
+    return numba.njit(**OPTIONS)(function)
 
 
 def piece(function: Callable[..., Any]) -> Any:
@@ -41,9 +52,9 @@ def jitted(function: Any) -> Any:
     inside = tuple(cell.cell_contents for cell in function.__closure__ or ())
     key = (function.__code__, function.__defaults__, inside, id(function.__globals__))
     try:
-        return _jitted.setdefault(key, numba.njit(**OPTIONS)(function))
+        return _jitted.setdefault(key, compiled(function))
     except TypeError:  # something inside is not hashable
-        return numba.njit(**OPTIONS)(function)
+        return compiled(function)
 
 
 def kept(loop: Callable[..., Any], form: Form, arguments: tuple[Any, ...]) -> Any:
@@ -56,11 +67,11 @@ def kept(loop: Callable[..., Any], form: Form, arguments: tuple[Any, ...]) -> An
     own = types.FunctionType(loop.__code__, loop.__globals__, name)
     own.__module__, own.__qualname__ = loop.__module__, name
     try:
-        compiled = numba.njit(cache=True, **OPTIONS)(own)
-        compiled.compile(tuple(numba.typeof(argument) for argument in arguments))
+        loaded = numba.njit(cache=True, **OPTIONS)(own)
+        loaded.compile(tuple(numba.typeof(argument) for argument in arguments))
     except Exception:  # no folder that may be written to, a full disk, a damaged file: without the disk, then
-        compiled = numba.njit(**OPTIONS)(own)
-    return compiled
+        return compiled(own)
+    return loaded
 
 
 @functools.cache

@@ -14,11 +14,10 @@ import math
 import types
 from typing import Any
 
-import numba
 import numpy as np
 
 from torchds.kernels import steps
-from torchds.kernels.compiling import OPTIONS, jitted, piece
+from torchds.kernels.compiling import compiled, jitted, piece
 from torchds.kernels.gating import activate
 
 NONE, BOUNDS, WALLS = steps.NONE, steps.BOUNDS, steps.WALLS
@@ -207,4 +206,4 @@ def _extended(stop: Any, push: Any, track: Any) -> Any:
             track(p, before, after, x_before, x, v_before, v, stiffness, t, dt)
 
         own["plant_step"] = plant_step
-    return numba.njit(**OPTIONS)(types.FunctionType(roll.__code__, {**globals(), **own}))
+    return compiled(types.FunctionType(roll.__code__, {**globals(), **own}))
