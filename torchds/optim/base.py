@@ -22,7 +22,7 @@ from torchds.optim.checkpoints import check_entries, finite
 from torchds.optim.drawing import Drawing
 from torchds.optim.elite import remember
 from torchds.optim.evaluation import Closure, Control, Table, Trial, as_costs, controls, evaluate
-from torchds.optim.functional import informative, is_finite
+from torchds.optim.functional import failures, informative
 from torchds.optim.options import DEFAULTS, IN_GROUPS, SharedOptions, check_group, check_search, completed, described
 from torchds.optim.transaction import Snapshot
 from torchds.visits import Visit
@@ -260,7 +260,7 @@ class PolicySearch(Drawing):
         efforts = [0.5 * part.upsilon.flatten(cost.ndim).sum(-1) for part in control]
         effort = functools.reduce(torch.add, efforts) if efforts else torch.zeros_like(cost)
         cost = cost + effort
-        failed = ~is_finite(cost)
+        failed = failures(cost)
         if failed.all():
             raise AllRolloutsFailedError(
                 f"all {cost.numel()} roll-outs had a cost that is not finite; the parameters are unchanged. Explore less "
@@ -279,7 +279,7 @@ class PolicySearch(Drawing):
             )
         self._forget()
         self.last = Update(cost, effort, weights[0], failed)
-        valid, n = torch.where(failed, 0.0, cost), (~failed).sum(0)
+        valid, n = cost.masked_fill(failed, 0.0), len(cost) - failed.sum(0)
         mean = valid.sum(0) / n
         if finite(mean):
             return mean

@@ -58,21 +58,21 @@ def relative_costs(costs: Array, temperature: Temperature = "range") -> Tensor:
     """
     check_temperature(temperature)
     costs = _costs(costs)
-    valid = is_finite(costs)
-    low = torch.where(valid, costs, torch.inf).amin(0)
-    above = torch.where(valid, costs - low, torch.inf)  # S − min S
-    spread = torch.where(valid, above, 0.0).amax(0)
+    failed = failures(costs)
+    low = costs.masked_fill(failed, torch.inf).amin(0)
+    above = (costs - low).masked_fill(failed, torch.inf)  # S − min S
+    spread = above.masked_fill(failed, 0.0).amax(0)
     if (wide := spread.isposinf()).any():  # a range beyond the largest number is halved
         half = torch.where(wide, 0.5, 1.0).to(costs)
-        above = torch.where(valid, half * costs - half * low, torch.inf)
-        spread = torch.where(valid, above, 0.0).amax(0)
+        above = (half * costs - half * low).masked_fill(failed, torch.inf)
+        spread = above.masked_fill(failed, 0.0).amax(0)
     if temperature != "range":
-        median = torch.where(valid, above, torch.nan).nanquantile(0.5, dim=0)
+        median = above.masked_fill(failed, torch.nan).nanquantile(0.5, dim=0)
         spread = median if temperature == "median" else torch.minimum(spread, 3 * median)
     ratio = above / spread
     if temperature == "capped":
         ratio = ratio.clamp(max=1.0)
-    return torch.where(valid, torch.where(above > 0, ratio, 0.0), torch.inf)
+    return ratio.masked_fill(above <= 0, 0.0).masked_fill(failed, torch.inf)
 
 
 def check_temperature(temperature: Any) -> None:
@@ -90,12 +90,12 @@ def informative(costs: Array) -> Tensor:
     costs = _costs(costs)
     if len(costs) == 1:
         return torch.ones_like(costs[0], dtype=torch.bool)
-    return ~((costs == costs[:1]).all(0) & is_finite(costs[:1]).all(0))
+    return (costs != costs[:1]).any(0) | failures(costs[0])
 
 
-def is_finite(costs: Tensor) -> Tensor:
-    """`(...)` False for NaN and infinity: zero times these is not zero. Two operations, where `isfinite` is five."""
-    return costs * 0 == 0
+def failures(costs: Tensor) -> Tensor:
+    """`(...)` True for NaN and infinity: zero times these is not zero. Two operations, where `isfinite` is five."""
+    return costs * 0 != 0
 
 
 def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 1e-3) -> Tensor:
