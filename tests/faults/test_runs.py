@@ -32,8 +32,7 @@ USUAL = (("run", "kill"), ("compare", "broken"), ("session", "read-only"), ("dig
 PAIRS = [(command, fault) for command in COMMANDS for fault in FAULTS] if cases.CASES else USUAL
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
+def shorten(monkeypatch):
     """One short letter, no pictures, and a checkpoint after every update."""
     short = Short()
     monkeypatch.setattr(RunOptions, "make_task", lambda options: short)
@@ -41,9 +40,23 @@ def quick(monkeypatch):
     monkeypatch.setattr(run_module, "SAVE_EVERY", 0.0)
 
 
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    shorten(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A finished run, which no test touches."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        shorten(monkeypatch)
+        return run_module.run(options_for("via_point", **GIVEN, logdir=tmp_path_factory.mktemp("made")))
+
+
 @pytest.fixture
-def finished(tmp_path):
-    return run_module.run(options_for("via_point", **GIVEN, logdir=tmp_path))
+def finished(made, tmp_path):
+    """A copy of it: a run may be moved."""
+    return Path(shutil.copytree(made, tmp_path / "via_point" / "pibb" / made.name))
 
 
 def resume(folder, **given):
@@ -217,12 +230,12 @@ def test_options_changed_by_hand_are_refused(finished):
         resume(finished)
 
 
-def test_options_of_an_older_version_are_read(finished):
+def test_options_of_an_older_version_are_read(finished, made):
     path = finished / "options.json"
     content = json.loads(path.read_text())
     content["options"].pop("cost_noise")
     path.write_text(json.dumps({name: content[name] for name in ("task", "options")}))
-    assert RunFolder(finished).options() == options_for("via_point", **GIVEN, logdir=finished.parents[2])
+    assert RunFolder(finished).options() == options_for("via_point", **GIVEN, logdir=made.parents[2])
 
 
 def test_a_checkpoint_of_an_older_version_is_refused_by_name(finished):
