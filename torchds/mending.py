@@ -193,7 +193,7 @@ def resample(
 
     if len(t) != len(x):
         raise InvalidDemonstrationsError(f"demonstration {i} has {len(x)} positions, got {len(t)} times for them")
-    if drop:
+    if drop and len(t):
         keep = np.concatenate([[True], np.diff(t) > 0])
         if not keep.all():
             warnings.warn(

@@ -288,7 +288,7 @@ INSIDE = {
     "exploration.gaussian.Gaussian.__call__", "exploration.homogeneous.Homogeneous.__call__",
     "exploration.homogeneous.Homogeneous.measure", "exploration.stable.Stable.__call__", "exploration.stable.Stable.measure",
     "exploration.stable.Stable.stabilise", "exploration.trajectory.TrajectorySpace.__call__",
-    "exploration.trajectory.TrajectorySpace.measure", "fits.Noise.like", "optim.functional.is_finite",
+    "exploration.trajectory.TrajectorySpace.measure", "fits.Noise.like", "optim.functional.failures",
     "forces.ConstantForce.__call__",
     "forces.DivergentForce.__call__", "impedance.ImpedanceControlled.reset", "mending.resample", "parameters.ExpertParameters",
     "parameters.ExpertParameters.from_rows", "parameters.ExpertParameters.join", "parameters.arrange",

@@ -132,3 +132,11 @@ def test_splines_agree_with_those_of_numpy_polynomials():
     at = t[0] + d.dt * np.arange(len(d.x))
     assert np.abs(d.x[:, 0].numpy() - cubic(at)).max() < 1e-9
     assert np.abs(d.v[:, 0].numpy() - cubic.deriv()(at)).max() < 1e-8
+
+
+@pytest.mark.parametrize("duplicates", ["drop", "refuse"])
+def test_no_samples_are_no_demonstration(duplicates):
+    with pytest.raises(
+        InvalidDemonstrationsError, match="demonstration 0 has 0 samples, a cubic spline needs at least four"
+    ):
+        Demonstrations.from_samples([np.zeros(0)], [np.zeros((0, 2))], duplicates=duplicates)
