@@ -60,6 +60,7 @@ else:
     from torchds import visits as visits
     from torchds.demonstrations import Demonstration as Demonstration
     from torchds.demonstrations import Demonstrations as Demonstrations
+    from torchds.exporting import export as export
     from torchds.fits import StableFit as StableFit
     from torchds.fits import fit_stable as fit_stable
     from torchds.mixture import Conditional as Conditional
@@ -95,6 +96,7 @@ __all__ = [
     "costs",
     "errors",
     "exploration",
+    "export",
     "fit_mixtures",
     "fit_stable",
     "impedance",

@@ -20,6 +20,7 @@ from torchds.moments import Moment as Moment
 from torchds.moments import Rollout as Rollout
 from torchds.moments import advance, begin, record, seen
 from torchds.plants import Plant
+from torchds.scanning import Taken, scanned
 from torchds.stops import StopCondition
 
 Shift = Array | Callable[[float], Array]
@@ -81,7 +82,9 @@ def rollout(
         feedback: whether the policy sees where the plant is, a feedback law: the reference of a step is then x + policy(x) dt
             from the plant's x, at both of its ends. Without a plant it is the same motion.
         backend: "auto" for compiled code where there is some for all of this (`torchds.kernels`), else the eager loop, one
-            tensor call a time step; "eager" or "fused" for that one. Their numbers are the same but for round-off.
+            tensor call a time step; "eager" or "fused" for that one. "scan" keeps the loop as one node of a graph, and is what
+            "auto" means while torch.compile or torch.export reads a program; the time that a shift or a plant is told is a
+            tensor then. Their numbers are the same but for round-off.
 
     Returns:
         A `Rollout`; differentiable with respect to the parameters and `x0`. States may diverge to infinity or NaN:
@@ -105,8 +108,15 @@ def rollout(
     if O < D:
         raise InvalidArgumentError(f"a policy of {D} inputs has to have as many velocities or more, got {O}")
     lead = (*(() if starts == "per_policy" else batch), *x0.shape[:-1])
-    path = None
-    if (wanted := kernels.wanted(backend)) != "eager":
+    path, wanted = None, kernels.wanted(backend)
+    if wanted == "scan" and (stop is not None or plant is not None) and _learns(rows, x0):
+        if backend == "scan":
+            raise InvalidArgumentError(
+                "backend='scan' has no gradients where there is a stop condition or a plant, got one; take backend='eager', or "
+                "torch.no_grad()"
+            )
+        wanted = "eager"
+    if wanted in ("auto", "fused"):
         try:
             if feedback and plant is not None:
                 raise Unfit("feedback from a plant needs the eager loop")
@@ -116,9 +126,17 @@ def rollout(
                 raise kernels.cannot(reason) from None
     if path is None:
         with without_autocast(x0):
-            path = _eager(policy, rows, x0.expand(*lead, D), n_steps, dt, stop, plant, shift, feedback)
+            x = x0.expand(*lead, D)
+            if wanted == "scan":
+                path = _scanned(policy, rows, x, n_steps, dt, stop, plant, shift, feedback)
+            else:
+                path = _eager(policy, rows, x, n_steps, dt, stop, plant, shift, feedback)
     visits.report(policy, path.features)
     return path
+
+
+def _learns(*tensors: Tensor) -> bool:
+    return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
 def _eager(
@@ -133,23 +151,57 @@ def _eager(
     feedback: bool = False,
 ) -> Rollout:
     """The definition of a roll-out, one tensor call a time step, from the starts `x` `(*batch, *points, D)`."""
-    O, now = policy.output_dim, begin(x, policy.output_dim, stop, plant)
+    now = begin(x, policy.output_dim, stop, plant)
     moments, features, stiffness, inputs = [now], [], [], []
     for i in range(n_steps):
-        x = seen(now) if feedback else now.x
-        if shift is not None:
-            x = x - _checked_shift(shift(i * dt) if callable(shift) else shift, x)
-        if shift is not None or feedback:
-            inputs.append(x)
-        g = policy.features(x)
-        y = policy.outputs(g, rows)
-        v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
-        now = advance(now, v, s, i * dt, dt, stop, plant, feedback)
+        now, taken = _step(policy, rows, now, i * dt, dt, stop, plant, shift, feedback)
         moments.append(now)
-        features.append(g)
-        if s is not None:
-            stiffness.append(s)
+        features.append(taken.features)
+        if shift is not None or feedback:
+            inputs.append(taken.input)
+        if taken.stiffness is not None:
+            stiffness.append(taken.stiffness)
     return record(moments, features, stiffness, dt, inputs)
+
+
+def _scanned(
+    policy: DynamicalSystem,
+    rows: Tensor,
+    x: Tensor,
+    n_steps: int,
+    dt: float,
+    stop: StopCondition | None,
+    plant: Plant | None,
+    shift: Shift | None,
+    feedback: bool,
+) -> Rollout:
+    """The same steps as one node of a graph."""
+
+    def step(now: Moment, t: Any) -> tuple[Moment, Taken]:
+        return _step(policy, rows, now, t, dt, stop, plant, shift, feedback)
+
+    return scanned(step, begin(x, policy.output_dim, stop, plant), n_steps, dt)
+
+
+def _step(
+    policy: DynamicalSystem,
+    rows: Tensor,
+    now: Moment,
+    t: float,
+    dt: float,
+    stop: StopCondition | None,
+    plant: Plant | None,
+    shift: Shift | None,
+    feedback: bool,
+) -> tuple[Moment, Taken]:
+    """One step of the policy, at time `t`, and of all that follows it."""
+    O, x = policy.output_dim, seen(now) if feedback else now.x
+    if shift is not None:
+        x = x - _checked_shift(shift(t) if callable(shift) else shift, x)
+    g = policy.features(x)
+    y = policy.outputs(g, rows)
+    v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
+    return advance(now, v, s, t, dt, stop, plant, feedback), Taken(x, g, s)
 
 
 def _fused(

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple, Protocol
 
+import torch
 from torch import Tensor, nn
 
 from torchds.errors import InvalidArgumentError
@@ -68,6 +69,8 @@ def report(policy: LinearPolicy, features: Tensor) -> None:
     Raises:
         InvalidArgumentError: no policy that is linear in features, or features that are no tensor.
     """
+    if torch.compiler.is_compiling():  # nobody can listen to a compiled program
+        return
     visits = listener.get()
     if visits is not None:
         visits.append(checked((policy, features)))

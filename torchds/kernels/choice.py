@@ -36,17 +36,17 @@ def _has_numba() -> bool:
     return True
 
 
-def wanted(backend: Backend) -> Literal["auto", "eager", "fused"]:
-    """What `backend` means here and now.
+def wanted(backend: Backend) -> Literal["auto", "eager", "fused", "scan"]:
+    """What `backend` means here and now; "auto" is "scan" while a program is compiled or exported.
 
     Raises:
         InvalidArgumentError: an unknown backend, or one that cannot be had.
     """
+    if torch.compiler.is_compiling():  # a kernel is no part of a graph
+        return "scan" if backend == "auto" else backend
     if backend == "auto":
         backend = os.environ.get("TORCHDS_BACKEND", "auto")  # type: ignore[assignment]
-    if backend == "scan":
-        raise InvalidArgumentError("backend='scan' is not made yet; take 'auto', 'eager' or 'fused'")
-    if backend not in ("auto", "eager", "fused"):
+    if backend not in ("auto", "eager", "fused", "scan"):
         raise InvalidArgumentError(f"backend has to be 'auto', 'eager', 'fused' or 'scan', got {backend!r}")
     if backend == "auto" and not _has_numba():
         return "eager"

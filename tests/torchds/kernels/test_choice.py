@@ -16,8 +16,6 @@ def refuses(*words):
 
 def test_a_backend_that_cannot_be_had_is_refused(random_policy, randn):
     policy, x0 = random_policy(3), randn(2)
-    with refuses("backend='scan' is not made yet"):
-        rollout(policy, x0, 5, 0.1, backend="scan")
     with refuses("backend has to be", "'best'"):
         rollout(policy, x0, 5, 0.1, backend="best")
 
