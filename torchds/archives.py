@@ -125,7 +125,7 @@ def reason(error: BaseException) -> str:
 
 
 def check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
-    """Refuse an archive that would unpack to more than it can be meant to hold."""
+    """Refuse an archive that would unpack to more than it can be meant to hold, or that lost a member."""
     size = path.stat().st_size
     unpacked = sum(member.file_size for member in archive.infolist())
     allowed = size if stored else min(LARGEST, max(100 * size, 2**28))
@@ -134,3 +134,15 @@ def check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
     names = [member.filename for member in archive.infolist()]
     if len(set(names)) < len(names):
         raise FileError(f"{path} holds several members of one name")
+    if (said := _members_said(path)) not in (None, len(names)):
+        raise FileError(f"{path} is damaged: its directory has {len(names)} members where its end says {said}")
+
+
+def _members_said(path: Path) -> int | None:
+    """How many members the end of an archive says it has, which zipfile does not look at; None where it does not say."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - 2**16 - 22, 0))
+        tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")
+    count = int.from_bytes(tail[at + 10 : at + 12], "little") if 0 <= at <= len(tail) - 22 else 0xFFFF
+    return None if count == 0xFFFF else count  # so many, or written elsewhere
