@@ -60,6 +60,11 @@ def test_what_a_soft_arm_does_is_believed(seed, soft):
     assert names(executed(poses, stiffness, seed, soft), poses, stiffness) == set()
 
 
+def test_a_soft_arm_that_looks_turned_by_21_degrees_is_believed():
+    poses, stiffness = asked()
+    assert names(executed(poses, stiffness, 4360797, 0.078125), poses, stiffness) == set()
+
+
 def still(pose, force):
     pose[1] = pose[1, :1]
 

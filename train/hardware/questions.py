@@ -29,6 +29,8 @@ BETTER = 0.5
 EXCHANGED = 0.8
 """Recordings are in a wrong order if another one leaves at most this share. In simulation, at 75 to 700 N/m and with both
 explorations, a true exchange leaves 0.08 to 0.69, and the best other order of what was in order 0.91 and more."""
+TURNED = 30.0
+"""Degrees by which a frame has to be turned: what an arm as soft as 8 cm makes of a motion can look like 22°."""
 LARGE = 0.25
 """Deviations below this share of the reference's size are not questioned."""
 ELSEWHERE = 1.5
@@ -115,7 +117,7 @@ def others(q: np.ndarray, u: np.ndarray, dt: float) -> Iterator[tuple[str, str, 
     yield "turned", "x and z are swapped", rms(q - u[:, [1, 0, 2]])
     a, b = q[:, 0] + 1j * q[:, 1], u[:, 0] + 1j * u[:, 1]
     angle = float(np.angle((a * b.conj()).sum()))
-    if abs(angle) > np.radians(20):
+    if abs(angle) > np.radians(TURNED):
         turn = b * np.exp(1j * angle)
         turned = np.column_stack([turn.real, turn.imag, u[:, 2]])
         yield "turned", f"the frame is turned by {np.degrees(angle):.0f}°", rms(q - turned)
