@@ -298,6 +298,22 @@ class PolicySearch(Drawing):
             )
             self._warned = True
 
+    def scalars(self) -> dict[str, float]:
+        """What is worth logging after each update, by TensorBoard tag; means over the runs of a batch.
+
+        Returns:
+            The width of the noise and what the explorations say; once there was an update, the entropy of its weights and the
+            mean cost of its roll-outs that did not fail.
+        """
+        found = {"exploration/lr": float(self.param_groups[0]["lr"])}
+        for exploration in self.explorations:
+            found |= exploration.scalars()
+        if (last := self.last) is not None:
+            w = last.weights
+            found["weights/entropy"] = float(-(w * w.clamp_min(1e-300).log()).sum(0).mean())
+            found["exploration/mean_cost"] = float(last.cost[~last.failed].mean())
+        return found
+
     def _check(self) -> None:
         """Refuse options, parameters and state that cannot be used as they are now: all may have been written from outside."""
         self.n_rollouts, _ = check_search(

@@ -70,15 +70,8 @@ class SampledSearch(Searcher):
         return updates * (self.n_rollouts + self.jacobian * JACOBIAN_COST)
 
     def scalars(self) -> dict[str, float]:
-        """Width of the noise, what the explorations say, entropy of the weights, and mean cost of the trials."""
-        found = {"exploration/lr": self.optim.param_groups[0]["lr"]}
-        for exploration in self.optim.explorations:
-            found |= exploration.scalars()
-        if (last := self.optim.last) is not None:
-            w = last.weights
-            found["weights/entropy"] = float(-(w * w.clamp_min(1e-300).log()).sum(0).mean())
-            found["exploration/mean_cost"] = float(torch.where(last.failed, 0, last.cost).mean())
-        return found
+        """What the optimizer says about itself."""
+        return self.optim.scalars()
 
     def state_dict(self) -> dict[str, Any]:
         """Those of the optimizer and of the decay."""

@@ -1,6 +1,7 @@
 """What every search has from its base: copies that keep all attributes, whatever a subclass adds."""
 
 import copy
+import math
 import pickle
 
 import pytest
@@ -94,3 +95,15 @@ def test_one_failure_changes_nothing_in_a_search_of_a_stranger():
 def test_no_roll_outs_are_refused(n):
     with pytest.raises(InvalidArgumentError, match=f"n_rollouts has to be at least 1, got {n}"):
         PIBB([nn.Parameter(torch.zeros(1))], Gaussian(0.1), n_rollouts=n)
+
+
+def test_scalars_say_how_wide_the_noise_is_and_how_the_last_update_weighed():
+    theta = nn.Parameter(torch.zeros(3, dtype=torch.float64))
+    optim = PIBB([theta], Gaussian(0.3), n_rollouts=4, lr=0.5, generator=torch.Generator().manual_seed(0))
+    assert optim.scalars() == {"exploration/lr": 0.5}
+    optim.step(lambda: torch.tensor([1.0, 2.0, torch.inf, 3.0]))
+    w = [1, math.exp(-5), math.exp(-10)]  # h = 10 over the range of 2
+    share = [each / sum(w) for each in w]
+    found = optim.scalars()
+    assert found["weights/entropy"] == pytest.approx(-sum(p * math.log(p) for p in share), rel=1e-12)
+    assert found["exploration/mean_cost"] == 2.0
