@@ -19,7 +19,7 @@ import tasks
 from tasks.loading import is_spec
 from torchds.errors import TorchdsError
 from torchds.files import reason
-from train import benchmark
+from train.benchmark.command import Benchmark
 from train.beyond.command import Beyond
 from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
@@ -53,7 +53,7 @@ def main() -> int:
         "view": View,
         "compare": Compare,
         "beyond": Beyond,
-        "benchmark": benchmark.Benchmark,
+        "benchmark": Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }
     # Small tensors: a second thread costs more than it gives, and results depend on one only.

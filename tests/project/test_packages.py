@@ -23,7 +23,7 @@ NEEDED = {
     "cma": ("cma", "baselines", "command('via_point', '--optimizer', 'cma')"),
     "cobyqa": ("cobyqa", "baselines", "command('via_point', '--optimizer', 'cobyqa')"),
     "tensorboard": ("tensorboard", "train", "import train.learning.run"),
-    "tqdm": ("tqdm", "train", "import train.benchmark"),
+    "tqdm": ("tqdm", "train", "import train.benchmark.command"),
     "tyro": ("tyro", "train", "import train.options"),
     "threadpoolctl": ("threadpoolctl", "train", "import train.__main__"),
     "PIL": ("pillow", "train", "import train.learning.album"),

@@ -1,0 +1,107 @@
+"""What the benchmark times, each row a function that does it once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import torch
+
+import tasks
+import torchds
+from tasks.via_point import ViaPoint
+from torchds import GaussianMixture, GMRPolicy, rollout
+from torchds.errors import TorchdsError
+from torchds.exploration import TrajectorySpace
+from train.learning.learner import Learner
+from train.options import LEARNERS, options_for
+
+N_STEPS = 200
+BATCHES = (10, 200, 4000)
+ON_GPU = (*BATCHES, 100_000, 1_000_000)
+
+
+class Row(NamedTuple):
+    """One thing to time.
+
+    Attributes:
+        name: of what is done.
+        call: does it once.
+        floor: what the C++ program does in the same place: ("passes" | "runs", N); None where it has no such thing.
+        share: of the floor's work that is done: 20 for 20 runs.
+    """
+
+    name: str
+    call: Callable[[], object]
+    floor: tuple[str, int] | None = None
+    share: int = 1
+
+
+def rows(task: ViaPoint, policy: GMRPolicy, device: str, updates: int) -> Iterator[Row]:
+    """All rows that this machine can time."""
+    for n in BATCHES if device == "cpu" else ON_GPU:
+        batch = policy.expand(n).requires_grad_(False)
+        for backend in ("eager", "fused"):
+            motion = task.motion()._replace(n_steps=N_STEPS)
+            call = _rolls(batch, motion, backend, device)
+            if _possible(call):
+                yield Row(f"{n} roll-outs of {N_STEPS} steps, {backend}", call, ("passes", n))
+    for name, options in LEARNERS.items():
+        for runs in (1, 20):
+            given = options_for("via_point", runs=runs, updates=updates, device=device, **options)
+            floor = ("runs", given.rollouts or task.search.n_rollouts)
+            yield Row(f"{runs} run(s) x {updates} updates, {name}", _learns(given), floor, runs)
+    for name, optimizer in (("CMA-ES of the package cma", "cma"), ("score-function gradient", "nes")):
+        given = options_for("via_point", optimizer=optimizer, updates=updates, device=device)
+        if _possible(lambda given=given: Learner(given)):  # type: ignore[misc]
+            yield Row(f"1 run(s) x {updates} updates, {name}", _learns(given), ("runs", task.search.n_rollouts))
+    along = TrajectorySpace(policy.expand(1), *task.motion(), spread=0.5)
+    yield Row("Jacobian of a motion (TrajectorySpace)", along.refresh_now)
+    x = task.motion().x0
+    with_rows = torch.no_grad()(policy.forward)
+    yield Row("policy(x), one state", lambda: with_rows(x))
+    if device == "cpu":
+        yield from _fits()
+
+
+def _fits() -> Iterator[Row]:
+    """Fits, and the import; they are made on the CPU."""
+    motion = torchds.load_lasa("Angle", 7).every(4)
+    few = torchds.load_lasa("Angle", 4).every(8)
+    many = motion.stacked().x.repeat(58, 1)[:100_000]
+    many = many + torch.randn(many.shape, generator=torch.Generator().manual_seed(0), dtype=many.dtype)
+    yield Row("GaussianMixture.fit, 1750 samples, K = 4", lambda: GaussianMixture.fit(motion, 4))
+    yield Row(
+        "GaussianMixture.fit, 1750 samples, K = 'bic' to 12",
+        lambda: GaussianMixture.fit(motion, "bic", max_components=12),
+    )
+    yield Row("GaussianMixture.fit, 100000 samples, K = 6", lambda: GaussianMixture.fit(many, 6))
+    yield Row("fit_stable, one motion, P-QLF", lambda: torchds.fit_stable(few))
+    imports = [sys.executable, "-c", "import torchds"]
+    yield Row("import torchds, a new process", lambda: subprocess.run(imports, check=True))
+
+
+def _rolls(batch: GMRPolicy, motion: tasks.Motion, backend: Any, device: str) -> Callable[[], object]:
+    def call() -> None:
+        rollout(batch, *motion, backend=backend)
+        if device == "cuda":
+            torch.cuda.synchronize()
+
+    return call
+
+
+def _learns(options: Any) -> Callable[[], object]:
+    """A run without the fit before it, which is the same each time."""
+    task = options.make_task()
+    task.policy()
+    return lambda: Learner(options, task).learn()
+
+
+def _possible(call: Callable[[], object]) -> bool:
+    try:
+        call()
+    except (TorchdsError, torch.cuda.OutOfMemoryError):
+        return False
+    return True
