@@ -281,12 +281,11 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     Raises:
         RuntimeError: they do not broadcast.
     """
-    longest = max(shapes, key=len)
-    found = list(longest)
+    found = [1] * max([len(shape) for shape in shapes])
     for shape in shapes:
         for i in range(-1, -len(shape) - 1, -1):
-            if shape[i] not in (found[i], 1):
-                if found[i] != 1:
+            if shape[i] != 1:
+                if found[i] not in (1, shape[i]):
                     raise RuntimeError(f"shapes {[tuple(each) for each in shapes]} do not broadcast")
                 found[i] = shape[i]
     return tuple(found)
