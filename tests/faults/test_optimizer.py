@@ -434,6 +434,7 @@ def prepared(name, call, exploration, elite):
     elite=st.sampled_from(["none", "nominal"]),
     where=st.floats(0, 1),
 )
+@pytest.mark.slow
 def test_an_interruption_anywhere_leaves_all_or_nothing(name, call, exploration, elite, where):
     policy, optim = prepared(name, call, exploration, elite)
     before = everything(optim)
@@ -832,6 +833,7 @@ def edited(state, path, edit, junk):
     edit=st.sampled_from(["delete", "add", "replace", "nan", "cut", "cast"]),
     junk=st.sampled_from(range(len(JUNK))),
 )
+@pytest.mark.slow
 def test_an_edited_state_is_refused_whole_or_continues(name, exploration, asked, which, edit, junk):
     elite = "nominal" if name in ("PI2CMA", "SurrogatePIBB") else "best"
     source_policy, source = make(name, None, exploration, elite=elite)

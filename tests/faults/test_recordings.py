@@ -325,6 +325,7 @@ PLACES = min(200, CASES) or 20
 
 @pytest.mark.parametrize("kind", ["flip", "cut", "zeros"])
 @pytest.mark.parametrize("name", FILES)
+@pytest.mark.slow
 def test_damaged_files(tmp_path, monkeypatch, name, kind):
     """Bits flipped and bytes cut at places all over the file; a crash of the other process is a refusal here."""
     monkeypatch.setattr("torchds.recordings.matlab.subprocess.run", in_a_fork)

@@ -93,6 +93,7 @@ def test_interrupted_at_any_write_and_typed_again_a_command_ends_as_if_nothing_h
 # ------------------------------------------------------------------ TensorBoard
 
 
+@pytest.mark.slow
 def test_a_finished_run_that_is_resumed_is_left_as_it_is(finished, capsys):
     before = contents(finished)
     resume(finished)

@@ -160,6 +160,7 @@ def told(folder):
     return (folder / "session.pt").read_bytes()
 
 
+@pytest.mark.slow
 def test_swapped_recordings_are_refused_and_taken_if_one_insists(folder):
     update, before = folder / "update-001", told(folder)
     for k, of in ((1, 1), (2, 3), (3, 2)):

@@ -52,6 +52,7 @@ def learn(shape, method):
 
 
 @SHAPES
+@pytest.mark.slow
 def test_pibb_ends_below_pi2(shape):
     """Fig. 3."""
     pibb, pi2 = learn(shape, "pibb")[1], learn(shape, "pi2")[1]
@@ -60,6 +61,7 @@ def test_pibb_ends_below_pi2(shape):
 
 
 @SHAPES
+@pytest.mark.slow
 def test_exploration_along_the_motion_needs_200_rollouts_and_ends_no_higher(shape):
     """One setting for both shapes."""
     along, homogeneous = learn(shape, "trajectory"), learn(shape, "pibb")

@@ -75,6 +75,7 @@ def test_a_step_meets_a_wall_where_exact_arithmetic_says_so(kind):
     assert torch.equal(batched.flatten(), found)
 
 
+@pytest.mark.slow
 def test_who_hits_a_wall_stays_there(task):
     """Straight at the box: the last state is before the wall, and the step after it would cross."""
     policy = task.policy()
@@ -140,6 +141,7 @@ def test_the_imitated_motion_is_stable_and_a_detour(task):
         assert not task.walls(demo.x[:-1], demo.x[1:]).any()
 
 
+@pytest.mark.slow
 def test_with_a_learned_metric_the_policy_satisfies_that_condition():
     task = tasks.make("constrained_reaching", condition="p-qlf")
     assert task.policy().certificate(task.goal, task.P).stable
@@ -211,6 +213,7 @@ def swept(task):
     return {name: learn(task, explore, (len(LEVELS), RUNS)) for name, explore in explorations.items()}
 
 
+@pytest.mark.slow
 def test_stable_exploration_never_leaves_the_set_and_no_final_policy_collides(task, swept):
     _, policy, violations = swept["stable"]
     assert violations == 0
@@ -233,6 +236,7 @@ def test_most_of_the_detour_is_gone_after_a_hundred_rollouts(swept):
     assert (medians[100] < medians[10]).all()
 
 
+@pytest.mark.slow
 def test_stable_exploration_along_the_motion_reaches_a_third_after_a_thousand_rollouts(task):
     def explore(policy):
         space = TrajectorySpace.relative(policy, *task.motion(), goal=task.goal)

@@ -66,6 +66,7 @@ class Scripted:
 
 
 @EVERY
+@pytest.mark.slow
 def test_both_libraries_find_nothing_wrong(name, env_of):
     check_env(env_of(name))
     env_checker.check_env(env_of(name))
@@ -92,6 +93,7 @@ def test_rewards_add_up_to_minus_the_cost_of_the_plain_rollout(name, env_of, act
 
 
 @EVERY
+@pytest.mark.slow
 def test_the_batch_is_as_many_single_environments(name, env_of, actions_of):
     actions = actions_of(name)
     env = tasks.gym.TaskVectorEnv(env_of(name).trials.task, 3)

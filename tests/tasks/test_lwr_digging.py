@@ -39,6 +39,7 @@ def test_values_out_of_range_are_refused(options, words):
     assert Given(initial_stiffness=50.0).seconds == 15.0
 
 
+@pytest.mark.slow
 def test_the_options_are_known_without_mujoco():
     assert options_of("lwr_digging") is DiggingOptions
     code = "import sys, tasks; tasks.options_of('lwr_digging'); sys.exit('mujoco' in sys.modules)"

@@ -178,6 +178,7 @@ def test_arrays_come_back_and_damaged_or_absurd_ones_do_not(tmp_path):
     assert set(files.read_npz(path, ["y", "z"])) == {"y"}
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_of_an_archive_changes_what_is_read_in_silence(tmp_path):
     path, arrays = tmp_path / "a.npz", {"x": np.arange(3.0), "dt": np.array(0.1)}
     files.write_npz(path, arrays)

@@ -62,6 +62,7 @@ def test_the_metric_is_the_identity_for_seds_and_learned_for_p_qlf(fitted):
 
 
 @pytest.mark.parametrize("condition", ["seds", "p-qlf"])
+@pytest.mark.slow
 def test_every_start_ends_at_the_goal(fitted, condition):
     fit = fitted[condition]
     side = torch.linspace(-150, 150, 8, dtype=torch.float64)
@@ -177,6 +178,7 @@ def test_a_fit_does_not_need_the_callers_gradients(angle):
         assert fit_stable(angle, 2, n_steps=10).certificate().stable
 
 
+@pytest.mark.slow
 def test_three_dimensions(randn):
     t = torch.linspace(0, 1, 60, dtype=torch.float64)[:, None]
     paths = [torch.cat([1 - t, (math.pi * t).sin(), t * (1 - t)], -1) * (1 + 0.1 * i) for i in range(3)]

@@ -120,6 +120,7 @@ def test_a_batch_equals_a_loop_of_single_roll_outs(randn, form, batch, points):
 
 
 @FORMS
+@pytest.mark.slow
 def test_the_error_against_the_continuous_equations_falls_with_the_time_step(form):
     """Euler's method is of first order: half the step, half the error."""
     policy, duration, mass, damping = make_policy(2), 1.5, 1.3, 0.7

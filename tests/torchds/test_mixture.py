@@ -316,6 +316,7 @@ MOTIONS = ["Angle", "BendedLine", "CShape", "GShape", "heee", "JShape", "Khamesh
 
 
 @pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.slow
 def test_a_mixture_does_not_depend_on_the_units_of_length_and_time(name):
     """The field A_k, b_k of ten motions at 1e-9 to 1e9 of their size, and a thousand times as slow."""
     demos = load_lasa(name, 3).every(20)

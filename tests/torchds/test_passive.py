@@ -94,6 +94,7 @@ def test_an_empty_tank_gives_no_drive_and_a_full_one_changes_nothing(certified):
 
 
 @pytest.mark.parametrize("plant", ["passive", "impedance"])
+@pytest.mark.slow
 def test_in_closed_loop_a_certified_motion_ends_at_its_goal_from_anywhere_after_a_push(certified, randn, plant):
     x0 = 5 * randn(100, 2)
 

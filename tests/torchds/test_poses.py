@@ -140,6 +140,7 @@ def test_what_is_no_pose_is_refused():
         poses.quaternion(torch.zeros(2), GOAL)
 
 
+@pytest.mark.slow
 def test_a_certified_motion_of_poses_ends_at_the_goal_from_anywhere_within_150_degrees():
     generator = torch.Generator().manual_seed(3)
     raw = torch.randn(4, 6, 6, generator=generator, dtype=torch.float64)

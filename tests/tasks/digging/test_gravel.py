@@ -35,6 +35,7 @@ def test_a_bed_is_settled_once(monkeypatch):
     assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".pt"]
 
 
+@pytest.mark.slow
 def test_a_broken_or_forbidden_cache_costs_only_time(tmp_path, monkeypatch):
     bed = gravel.bed(COARSE)
     (file,) = (path for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name)

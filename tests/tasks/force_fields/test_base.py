@@ -39,6 +39,7 @@ def test_the_demonstrations_pass_beside_the_arch_by_the_bias_half_way_and_end_sl
 
 
 @pytest.mark.parametrize("execution", ["open", "closed", "passive"])
+@pytest.mark.slow
 def test_each_execution_is_that_roll_out(execution):
     task = tasks.make("half_plane_force", execution=execution)
     task.motion = lambda: type(task).motion(task)._replace(n_steps=12)

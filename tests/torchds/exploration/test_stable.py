@@ -88,6 +88,7 @@ def test_every_sample_is_stable_with_the_margin(seed, D, K, batch, metric, std, 
 
 @many
 @given(shrink=st.sampled_from(["all", "direction"]), weights_seed=st.integers(0, 99), **CASES)
+@pytest.mark.slow
 def test_a_convex_combination_of_samples_is_stable(seed, D, K, batch, metric, std, shrink, weights_seed):
     """Eq. 28, for weights from equal to all on one sample."""
     policy, goal, P = make_case(seed, D, K, batch, metric)

@@ -154,6 +154,7 @@ def test_a_wide_spread_leaves_the_homogeneous_noise_and_a_narrow_one_moves_the_m
 
 @pytest.mark.parametrize("x0", [START, STARTS], ids=["one start", "three"])
 @pytest.mark.parametrize("options", [{}, {"damping": 0.0, "widening": 1.0}, {"spread": 0.05, "damping": 1e-2}])
+@pytest.mark.slow
 def test_the_motion_is_displaced_as_much_as_the_covariance_says(x0, options):
     """Mean-square displacement under small noise against tr(JᵀJ C)/T."""
     n, small = 4000, 1e-3

@@ -38,6 +38,7 @@ def test_the_bits_do_not_depend_on_the_company(random_policy, randn):
 
 
 @torch.no_grad()
+@pytest.mark.slow
 def test_code_for_one_size_gives_the_bits_of_code_for_all(random_policy, randn, monkeypatch):
     from torchds.kernels import compiling
 

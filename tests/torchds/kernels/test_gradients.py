@@ -37,6 +37,7 @@ def test_the_adjoint_is_what_autograd_gives(random_policy, randn, K, D, O, Q, ba
             torch.testing.assert_close(fused, eager, rtol=1e-10, atol=1e-11 * float(eager.abs().amax()))
 
 
+@pytest.mark.slow
 def test_gradcheck_first_and_second(random_policy, randn):
     policy = random_policy(3, 2, 2, 1)
 

@@ -9,6 +9,7 @@ from torchds import load
 from torchds.errors import DemonstrationWarning, FileError
 
 
+@pytest.mark.slow
 def test_cells_of_positions_and_velocities_below_each_other(mat):
     both = np.concatenate([MOTION, SPEED], -1).T
     demos = load(mat(data=cell(both, both), dt=STEP))
@@ -19,6 +20,7 @@ def test_cells_of_positions_and_velocities_below_each_other(mat):
     assert load(mat(data=cell(other), dt=STEP)).dim == 4
 
 
+@pytest.mark.slow
 def test_several_demonstrations_in_one_matrix(mat):
     both = np.concatenate([MOTION, SPEED], -1)
     path = mat(Data=np.concatenate([both, both, both]).T)
@@ -29,6 +31,7 @@ def test_several_demonstrations_in_one_matrix(mat):
     assert is_motion(load(path, dt=STEP, split=True), x=MOTION, dt=STEP, n=3)
 
 
+@pytest.mark.slow
 def test_a_first_column_that_rises_evenly_is_asked_for(mat):
     path = mat(recording=np.column_stack([STEP * np.arange(60), MOTION]))
     with refuses(FileError, "the first of 3 columns rises evenly", "time=0", "positions=(0, 1, 2)"):

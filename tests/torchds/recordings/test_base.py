@@ -15,6 +15,7 @@ def test_a_time_step_that_contradicts_the_file_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"), [("a.npz", ["is no .npz archive", "save_npz()"]), ("a.mat", ["not a readable MATLAB file"])]
 )
+@pytest.mark.slow
 def test_files_that_are_not_what_they_claim(tmp_path, name, words):
     path = tmp_path / name
     for content in (b"time,x\n0,1\n1,2\n", b"", bytes(range(256)) * 10):

@@ -33,6 +33,7 @@ def test_mat_cells_of_structs(tmp_path, rows):
     assert equal(load_mat(tmp_path / "a.mat", variable="demos", time_axis=0 if rows else 1), demos)
 
 
+@pytest.mark.slow
 def test_mat_fields_have_several_names(tmp_path):
     (x, v, dt), t = sine(), np.linspace(0, 2, 101)
     expected = Demonstrations([x], [v], dt)
@@ -45,6 +46,7 @@ def test_mat_fields_have_several_names(tmp_path):
         assert equal(load_mat(tmp_path / "a.mat"), expected)
 
 
+@pytest.mark.slow
 def test_mat_cells_of_matrices_structs_and_plain_arrays(tmp_path):
     path = tmp_path / "a.mat"
     (xa, va, dt), (xb, vb, _) = sine(101), sine(61)
@@ -71,6 +73,7 @@ def test_mat_with_forward_differences_drops_the_last_position(tmp_path):
     assert equal(load_mat(tmp_path / "a.mat"), Demonstrations([x], dt=dt).forward_differences())
 
 
+@pytest.mark.slow
 def test_mat_time_axis(tmp_path):
     path = tmp_path / "a.mat"
     square = np.arange(9.0).reshape(3, 3)
@@ -82,6 +85,7 @@ def test_mat_time_axis(tmp_path):
         load_mat(path, time_axis=2)
 
 
+@pytest.mark.slow
 def test_mat_variable_must_be_chosen_and_exist(tmp_path):
     path = tmp_path / "a.mat"
     scipy.io.savemat(path, {"training": cell([np.zeros((9, 2))]), "testing": cell([np.ones((9, 2))]), "dt": 0.1})

@@ -1,6 +1,7 @@
 """MATLAB files: structs at any depth, and damaged ones."""
 
 import numpy as np
+import pytest
 
 from tests.motions import refuses
 from tests.recorded import MOTION, SPEED, STEP, cell, is_motion
@@ -8,6 +9,7 @@ from torchds import load
 from torchds.errors import FileError, UnknownNameError
 
 
+@pytest.mark.slow
 def test_structs_in_cells_at_any_depth(mat):
     path = mat(
         recorded=cell({"pose": MOTION.T, "dt": STEP, "origin": "arm"}, {"pose": MOTION.T, "dt": STEP, "origin": "arm"})

@@ -42,6 +42,7 @@ def test_blank_lines(file):
     assert is_motion(load(path, dt=DT, split=False))
 
 
+@pytest.mark.slow
 def test_folders_and_patterns(tmp_path):
     for i in range(3):
         scipy.io.savemat(tmp_path / f"run{i}.mat", {"x": X + i, "dt": DT})
@@ -102,6 +103,7 @@ def test_what_is_suspicious_about_several_files_together_is_said_once(tmp_path):
     assert len(said) == 1
 
 
+@pytest.mark.slow
 def test_padding_by_nan_and_by_zeros(mat):
     padded = np.stack([np.concatenate([MOTION[:50], np.full((10, 2), np.nan)]), MOTION])
     assert [len(d.x) for d in load(mat(demos=padded, dt=STEP))] == [50, 60]  # lengths tell which axis is which

@@ -40,6 +40,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(Benchmark, "floor", lambda self, program, row, policy: [1e-6] * 3)
 
 
+@pytest.mark.slow
 def test_the_table_has_the_ratio_first_and_is_written_and_compared(quick, tmp_path, capsys):
     file = tmp_path / "speed.json"
     Benchmark(repeats=2, json=file).main()

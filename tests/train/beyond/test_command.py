@@ -14,6 +14,7 @@ from train.learning.learner import Learner
 from train.options import options_for
 
 
+@pytest.mark.slow
 def test_growing_leaves_cost_noise_and_decay_where_they_were(task):
     learner = Learner(options_for("two_starts", runs=2, updates=4, rollouts=4), task)
     learner.start()

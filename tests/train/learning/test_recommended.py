@@ -17,6 +17,7 @@ def medians(task, **chosen):
 
 
 @pytest.mark.parametrize(("shape", "pibb", "end"), [("N", 0.156, 0.06), ("P", 0.455, 0.02)])
+@pytest.mark.slow
 def test_via_points(shape, pibb, end):
     """PI^BB ends at `pibb` after 500 roll-outs."""
     cost = medians("via_point", shape=shape, exploration="trajectory", updates=50)
@@ -32,6 +33,7 @@ def test_via_points(shape, pibb, end):
         ("half_plane_force", "trajectory", 0.625),
     ],
 )
+@pytest.mark.slow
 def test_a_budget_of_four_hundred_roll_outs_does_what_a_thousand_did(task, exploration, pibb):
     """PI^BB ends at `pibb` after 1000 roll-outs."""
     assert medians(task, exploration=exploration, updates=400 // N)[-1] <= pibb

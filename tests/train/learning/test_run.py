@@ -27,6 +27,7 @@ def costs(folder):
     return json.loads((folder / "results.json").read_text())["cost"]
 
 
+@pytest.mark.slow
 def test_a_run_leaves_all_that_it_promises(finished):
     results = json.loads((finished / "results.json").read_text())
     assert set(results) >= {"task", "options", "versions", "rollouts", "cost", "terms", "seconds"}
@@ -52,6 +53,7 @@ def test_tensorboard_has_scalars_figures_and_hparams(finished):
     assert "_hparams_/session_start_info" in events.summary_metadata
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_path):
     options = options_for("via_point", runs=2, updates=4, rollouts=5, logdir=tmp_path)
     assert costs(run(options)) == costs(finished)
@@ -63,6 +65,7 @@ def test_runs_of_one_batch_differ(finished):
     assert len(set(costs(finished)[-1])) == 2
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one(tmp_path):
     command = [sys.executable, "-m", "train", "via_point", "--runs", "2", "--updates", "120", "--logdir"]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}

@@ -130,6 +130,7 @@ def test_the_root_along_the_motion_is_the_factor_of_trajectory_space(task):
     torch.testing.assert_close(root(policy, along), along.coordinates().factor, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_coordinates_with_a_goal_keep_it_a_fixed_point():
     options = {"runs": 2, "updates": 2, "rollouts": 5, "shrink": "none", "optimizer": "cma"}
     task = tasks.make("constrained_reaching")

@@ -66,6 +66,7 @@ def test_diagonal_stiffness_has_to_end_below_isotropic(isotropic, expected, monk
     assert verdict(impedance.diagonal(SETTING)) == expected
 
 
+@pytest.mark.slow
 def test_the_controller_as_printed_is_critically_damped_and_the_disturbance_is_there_before_learning():
     (damped,) = impedance.damping(SETTING)
     assert damped.holds and damped.n == 41 and "41 of 41" in damped.what

@@ -35,6 +35,7 @@ def quick(monkeypatch):
 
 
 @pytest.mark.parametrize("number", FIGURES)
+@pytest.mark.slow
 def test_a_figure_is_drawn_and_its_caption_has_numbers_and_the_command(number, quick, tmp_path):
     Figures(figure=(number,), runs=2, seed=3, logdir=tmp_path).main()
     folder = tmp_path / "figures"
@@ -53,6 +54,7 @@ def test_a_figure_is_drawn_and_its_caption_has_numbers_and_the_command(number, q
         assert re.search(r"\d", caption)
 
 
+@pytest.mark.slow
 def test_the_figures_of_one_experiment_learn_it_once(quick, tmp_path):
     Figures(figure=(10, 11, 13, 14), runs=2, logdir=tmp_path).main()
     assert sorted(quick) == ["divergent_field"] * 3 + ["half_plane_force"] * 2
@@ -64,6 +66,7 @@ def test_a_number_that_is_no_figure_is_refused_before_anything_is_made(tmp_path)
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_figure(tmp_path):
     command = [sys.executable, "-m", "train", "figures", "--figure", "9", "12", "--logdir", str(tmp_path)]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

@@ -20,6 +20,7 @@ def quick(monkeypatch):
         kept.cache_clear()
 
 
+@pytest.mark.slow
 def test_every_roll_out_and_every_update_is_counted(quick):
     seen = stable.watched(3, 0)
     n = seen.learner.searcher.n_rollouts
@@ -30,6 +31,7 @@ def test_every_roll_out_and_every_update_is_counted(quick):
     assert stable.certified(seen.learner).tolist() == [True, False, True]
 
 
+@pytest.mark.slow
 def test_a_variant_learns_all_levels_in_one_batch(quick):
     found = stable.variant(stable.FREE, 2, 0)
     shape = (len(stable.LEVELS), 2)
@@ -42,6 +44,7 @@ def test_a_variant_learns_all_levels_in_one_batch(quick):
     assert shown.cost.shape == (3, 1, 2) and shown.stable == [2]
 
 
+@pytest.mark.slow
 def test_the_noise_of_each_variant_is_as_large_as_its_level():
     task = tasks.make(stable.TASK)
     std = torch.tensor([0.01, 0.02], dtype=torch.float64)
