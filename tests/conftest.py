@@ -8,6 +8,11 @@ import torch
 import torchds
 
 
+def pytest_configure(config):
+    # Tests of these warnings ask for them. Named in pyproject.toml, torchds would be imported before coverage looks.
+    config.addinivalue_line("filterwarnings", "ignore::torchds.errors.DemonstrationWarning")
+
+
 def pytest_runtest_setup(item):
     if item.get_closest_marker("gpu") and not torch.cuda.is_available():
         pytest.skip("needs a GPU")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.stats
 
 Values = Sequence[float] | np.ndarray
 
@@ -33,11 +32,15 @@ def summary(values: Values) -> str:
 
 def below(a: Values, b: Values) -> float:
     """The p-value of the one-sided Mann-Whitney test: small where `a` tends to be smaller than `b`."""
+    import scipy.stats  # takes a second, which few commands need
+
     return float(scipy.stats.mannwhitneyu(a, b, alternative="less").pvalue)
 
 
 def differ(a: Values, b: Values) -> float:
     """The p-value of the two-sided Mann-Whitney test: small where one of the samples tends to be smaller."""
+    import scipy.stats
+
     return float(scipy.stats.mannwhitneyu(a, b).pvalue)
 
 

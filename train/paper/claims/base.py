@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
 
 from train.paper.measured.base import Setting
 from train.paper.measured.via_points import SHAPES
@@ -91,6 +90,8 @@ def changes(what: str, before: Values | float, after: Values, *, falls: bool = T
         after: a sample.
         falls: whether it should be lower.
     """
+    import scipy.stats  # takes a second
+
     after = np.asarray(after, dtype=float)
     before = np.broadcast_to(np.asarray(before, dtype=float), after.shape)
     down, up = int((after < before).sum()), int((after > before).sum())

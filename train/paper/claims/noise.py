@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 import torch
 
 from torchds.exploration import Homogeneous
@@ -31,6 +30,8 @@ def noise_size(shape: str, setting: Setting) -> list[Check]:
 @torch.no_grad()
 def uniform(setting: Setting) -> list[Check]:
     """Rank correlation of noise and distance, over the map of Fig. 5 and along the motion."""
+    import scipy.stats  # takes a second
+
     policy, path = imitated()
     ticks = torch.linspace(0, 1, GRID, dtype=path.dtype)
     low, high = path.amin(0), path.amax(0)
