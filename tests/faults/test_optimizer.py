@@ -487,6 +487,7 @@ def test_an_interruption_of_the_restoring_itself_restores_too(name, at):
     at=st.integers(1, 4),
     error=st.sampled_from([KeyboardInterrupt, RuntimeError, MemoryError, torch.linalg.LinAlgError]),
 )
+@pytest.mark.slow
 def test_a_function_that_raises_leaves_nothing_half_done(name, function, at, error):
     policy, optim = prepared(name, "step", "TrajectorySpace", "nominal")
     before, calls = everything(optim), []
@@ -565,6 +566,7 @@ SPECIAL = [0.0, -0.0, 1.0, -3.5, 1e-320, 1e300, -1e300, 1.7e308, -1.7e308, math.
     temperature=st.sampled_from(["range", "median", "capped"]),
     elite=st.sampled_from(["none", "nominal", "best"]),
 )
+@pytest.mark.slow
 def test_any_costs_lead_to_finite_parameters_or_are_refused(name, dtype, cost_dtype, shape, values, temperature, elite):
     elite = "nominal" if name == "PI2CMA" and elite == "best" else elite
     policy, optim = make(name, make_policy(dtype), temperature=temperature, elite=elite)

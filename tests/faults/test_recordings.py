@@ -150,6 +150,7 @@ def tables(draw):
 
 
 @fuzz(usual=60, text=tables(), options=some_options, suffix=st.sampled_from(["csv", "txt"]))
+@pytest.mark.slow
 def test_mutated_tables(tmp_path, text, options, suffix):
     path = tmp_path / f"a.{suffix}"
     path.write_text(text)
@@ -228,6 +229,7 @@ array_options = st.fixed_dictionaries({}, optional={key: st.sampled_from(v) for 
 
 
 @fuzz(usual=60, contents=st.dictionaries(st.sampled_from(KEYS), arrays(), max_size=5), options=array_options)
+@pytest.mark.slow
 def test_mutated_archives(tmp_path, contents, options):
     np.savez(tmp_path / "a.npz", **contents)
     is_read_or_refused(tmp_path / "a.npz", **options)
@@ -260,6 +262,7 @@ def as_matlab(value):
     ),
     options=array_options,
 )
+@pytest.mark.slow
 def test_mutated_matlab_files(tmp_path, monkeypatch, contents, options):
     """Read in this process, which writes them itself; the other process costs a second each."""
     buffer = io.BytesIO()

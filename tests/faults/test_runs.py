@@ -100,6 +100,7 @@ def test_a_finished_run_that_is_resumed_is_left_as_it_is(finished, capsys):
     assert contents(finished) == before and "all 3 updates are made, nothing is changed" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_run_that_is_extended_goes_on_and_tensorboard_has_each_update_once(finished, tmp_path, capsys):
     resume(finished, updates=5)
     assert (
@@ -113,6 +114,7 @@ def test_a_run_that_is_extended_goes_on_and_tensorboard_has_each_update_once(fin
     assert RunFolder(straight).results()["cost"] == record["cost"]  # the decay of this task does not know the end
 
 
+@pytest.mark.slow
 def test_events_that_were_lost_are_made_again_from_the_history(finished, capsys):
     (finished / "results.json").unlink()
     (finished / NAME).write_bytes(b"")
@@ -120,6 +122,7 @@ def test_events_that_were_lost_are_made_again_from_the_history(finished, capsys)
     assert steps(finished)["cost/total"] == [0, 1, 2, 3] and "was cut or lost" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_events_after_the_checkpoint_are_written_again_once(finished):
     (finished / "results.json").unlink()
     with (finished / NAME).open("ab") as file:
@@ -139,6 +142,7 @@ def test_events_after_the_checkpoint_are_written_again_once(finished):
         ({"updates": 2}, r"has made 3 already; give more, or none"),
     ],
 )
+@pytest.mark.slow
 def test_options_that_contradict_are_refused_and_nothing_is_changed(finished, given, words):
     before = contents(finished)
     with pytest.raises(InvalidArgumentError, match=words):
@@ -146,6 +150,7 @@ def test_options_that_contradict_are_refused_and_nothing_is_changed(finished, gi
     assert contents(finished) == before
 
 
+@pytest.mark.slow
 def test_an_option_that_is_said_with_its_usual_value_contradicts_too(tmp_path):
     folder = run_module.run(options_for("via_point", **GIVEN, seed=5, logdir=tmp_path))
     with pytest.raises(InvalidArgumentError, match=r"--seed 0 \(it was 5\)"):
@@ -162,6 +167,7 @@ def test_a_run_of_another_task_names_the_command(finished):
 @pytest.mark.parametrize(
     "changed", [{"seed": 1}, {"optimizer": "surrogate"}, {"exploration": "gaussian"}, {"runs": 3}, {"rollouts": 5}]
 )
+@pytest.mark.slow
 def test_the_checkpoint_of_another_run_is_refused_by_what_differs(finished, tmp_path, changed):
     other = run_module.run(options_for("via_point", **{**GIVEN, **changed}, logdir=tmp_path / "other"))
     shutil.copy(other / "checkpoint.pt", finished / "checkpoint.pt")
@@ -193,6 +199,7 @@ def altered(folder, change):
         (lambda c: c.pop("learner"), "no learner in it"),
     ],
 )
+@pytest.mark.slow
 def test_a_checkpoint_that_does_not_fit_is_refused_by_name(finished, change, words):
     altered(finished, change)
     before = contents(finished)
@@ -201,6 +208,7 @@ def test_a_checkpoint_that_does_not_fit_is_refused_by_name(finished, change, wor
     assert contents(finished) == before
 
 
+@pytest.mark.slow
 def test_versions_that_differ_are_said(finished, capsys):
     altered(finished, lambda content: content["versions"].update(torch="1.0"))
     resume(finished)
@@ -239,6 +247,7 @@ def test_options_of_an_older_version_are_read(finished, made):
     assert RunFolder(finished).options() == options_for("via_point", **GIVEN, logdir=made.parents[2])
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_an_older_version_is_refused_by_name(finished):
     import torch
 
@@ -261,6 +270,7 @@ def test_seeds_that_no_generator_takes_are_refused(seed, tmp_path):
         run_module.run(options_for("via_point", seed=seed, logdir=tmp_path))
 
 
+@pytest.mark.slow
 def test_results_are_json_whatever_diverged(tmp_path, monkeypatch):
     monkeypatch.setattr(Learner, "evaluate", lambda learner: {"goal": learner.policy.A.new_full((2,), float("nan"))})
     folder = run_module.run(options_for("via_point", **GIVEN, logdir=tmp_path))
@@ -274,6 +284,7 @@ def test_results_are_json_whatever_diverged(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("logdir", ["/proc/nowhere", "/dev/null/logs"])
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_one_line_and_exit_code_2(logdir, capsys):
     options = options_for("via_point", **GIVEN, logdir=Path(logdir))
     assert train_main.ended(lambda: run_module.run(options)) == 2

@@ -251,6 +251,7 @@ def test_references_of_another_session_are_refused(folder):
 
 
 @pytest.mark.parametrize("kind", ["file link", "folder link", "recording"])
+@pytest.mark.slow
 def test_names_that_are_taken_are_not_written_through(tmp_path, kind):
     mine = Session.start(tmp_path / "s", SessionOptions(seconds=1.0, rollouts=2, updates=1))
     elsewhere = tmp_path / "elsewhere"

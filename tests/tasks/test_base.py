@@ -27,6 +27,7 @@ class Bend(tasks.Task):
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.slow
 def test_a_task_of_demonstrations_and_a_cost_has_all_the_rest(dim):
     task = Bend(dim=dim)
     policy, motion, scene = task.policy(), task.motion(), task.scene()
@@ -52,6 +53,7 @@ def test_its_name_is_that_of_the_class_and_its_options_are_its_fields():
         LongerName3D(1.0)
 
 
+@pytest.mark.slow
 def test_a_task_that_gives_no_control_weight_has_no_control_cost():
     task = Bend()
     policy = task.policy()
@@ -59,6 +61,7 @@ def test_a_task_that_gives_no_control_weight_has_no_control_cost():
     assert float(task.evaluate(policy)[1]["control"].detach()) == 0
 
 
+@pytest.mark.slow
 def test_a_mixture_and_demonstrations_are_read_from_paths(tmp_path):
     own = Bend()
     own.mixture.save(tmp_path / "mixture.npz")

@@ -96,6 +96,7 @@ def test_the_noise_is_within_half_of_what_is_desired_on_the_path_and_uniform_noi
     assert shares[1] < 0.2
 
 
+@pytest.mark.slow
 def test_the_mean_noise_is_what_sampling_gives():
     """Guards the closed form above."""
     task = tasks.make("via_point")

@@ -59,6 +59,7 @@ def meet(p, q, a, b):
 
 
 @pytest.mark.parametrize("kind", ["grid", "random"])
+@pytest.mark.slow
 def test_a_step_meets_a_wall_where_exact_arithmetic_says_so(kind):
     """On a coarse grid, where steps end on walls, run along them, or rest, and at random."""
     g = torch.Generator().manual_seed(0)
@@ -148,6 +149,7 @@ def test_with_a_learned_metric_the_policy_satisfies_that_condition():
     assert not torch.allclose(task.P, torch.eye(2, dtype=torch.float64), atol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_mixture_is_taken_as_it_is(task):
     given = tasks.make("constrained_reaching", mixture=task.mixture)
     assert given.P is None

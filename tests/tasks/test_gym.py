@@ -73,6 +73,7 @@ def test_both_libraries_find_nothing_wrong(name, env_of):
 
 
 @EVERY
+@pytest.mark.slow
 def test_rewards_add_up_to_minus_the_cost_of_the_plain_rollout(name, env_of, actions_of):
     task, actions = env_of(name).trials.task, actions_of(name)
     policy = task.policy()

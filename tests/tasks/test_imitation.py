@@ -7,6 +7,7 @@ from torchds import Demonstrations, GMRPolicy
 from torchds.errors import DemonstrationWarning, InvalidArgumentError
 
 
+@pytest.mark.slow
 def test_stiffness_that_was_demonstrated_is_used():
     """Eq. 34: the policy gives it where it was shown; the constant s⁰ is for motions without."""
     demos = tasks.make("divergent_field").demonstrations

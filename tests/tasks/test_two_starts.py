@@ -49,6 +49,7 @@ def test_cost_terms_are_those_of_equation_40():
             assert value[r].item() == pytest.approx(expected[name], rel=1e-10), name
 
 
+@pytest.mark.slow
 def test_each_trajectory_takes_the_cheaper_set():
     """Also where both take the same one: the minimum is of each trajectory, not of the pair."""
     task = tasks.make("two_starts")
@@ -61,6 +62,7 @@ def test_each_trajectory_takes_the_cheaper_set():
     assert twice.item() == pytest.approx(2 * via(x[0], LEFT), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_imitated_policy_is_alike_on_both_sides_and_costs_about_6_15():
     task = tasks.make("two_starts")
     assert task.policy().n_components == 6
@@ -115,6 +117,7 @@ def test_with_the_papers_settings_20_runs_learn_and_the_two_sides_part():
 # ------------------------------------------------------------------ refusals
 
 
+@pytest.mark.slow
 def test_pi2_is_told_that_it_cannot_learn_from_two_starts():
     task = tasks.make("two_starts")
     policy = task.policy()

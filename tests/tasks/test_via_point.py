@@ -61,6 +61,7 @@ def test_the_control_term_of_a_changed_policy_is_its_squared_deviation():
     assert float(terms["control"]) == pytest.approx(0.5 * 5e-4 * 200 * 16 * 0.01**2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_terms_have_the_shape_of_the_batch_of_policies():
     task = tasks.make("via_point")
     policy = task.policy().expand(3, 2)
@@ -68,6 +69,7 @@ def test_terms_have_the_shape_of_the_batch_of_policies():
     assert all(value.shape == (3, 2) for value in terms.values())
 
 
+@pytest.mark.slow
 def test_demonstrations_and_mixture_can_be_given_as_objects_and_as_files(tmp_path):
     own = tasks.make("via_point")
     own.demonstrations.save_npz(tmp_path / "demos.npz")

@@ -47,6 +47,7 @@ def test_the_criterion_is_that_of_scikit_learn(arc):
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.5])
+@pytest.mark.slow
 def test_the_number_of_gaussians_is_the_one_that_full_fits_prefer(arc, noise):
     y = arc + noise * np.random.default_rng(1).standard_normal(arc.shape)
     options = OPTIONS._replace(n_init=2, tol=1e-4)

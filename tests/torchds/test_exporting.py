@@ -72,6 +72,7 @@ def test_a_motion_is_read_back(written, format, Q, n):
         assert_close(ours, theirs, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_exported_is_refused(random_policy, tmp_path, monkeypatch):
     policy, path = random_policy(), tmp_path / "policy"
     with pytest.raises(UnknownNameError, match=r"unknown format 'onx'. Did you mean 'onnx'"):

@@ -151,6 +151,7 @@ def test_a_fit_does_not_depend_on_a_longer_motion_beside_it():
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e9])
+@pytest.mark.slow
 def test_a_fit_does_not_depend_on_the_unit_of_length(angle, scale):
     ours, theirs = (fit_stable(demos, 3, n_steps=20) for demos in (angle, angle.scale(scale)))
     assert_close(theirs.policy.A.data, ours.policy.A.data, rtol=1e-3, atol=1e-3)

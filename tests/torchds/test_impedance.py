@@ -173,6 +173,7 @@ def test_a_step_response_does_not_overshoot(stiffness, mass, angle):
 
 
 @FORMS
+@pytest.mark.slow
 def test_a_step_response_is_that_of_critical_damping(form):
     s, mass, dt = 30.0, 2.0, 1e-3
     x, _ = track(ImpedanceControlled(PointMass(mass, 0.0), s, form=form), tensor(0.0), tensor(1.0), 2000, dt)
@@ -197,6 +198,7 @@ def test_energy_never_grows_with_constant_stiffness_and_a_reference_at_rest(rand
     assert (energy[-1] < 0.9 * energy[0]).sum() > 40
 
 
+@pytest.mark.slow
 def test_the_stiffer_the_closer_the_plant_follows():
     policy, x0 = make_policy(0), tensor(-1.2, 0.9)
     distances = []
@@ -334,6 +336,7 @@ class Tracked(nn.Module):
 
 @FORMS
 @pytest.mark.parametrize("Q", [1, 2])
+@pytest.mark.slow
 def test_a_tracked_motion_differentiates(form, Q):
     policy = make_policy(Q)
     module = Tracked(policy, ImpedanceControlled(PointMass(force=lambda t, x, v: x * v + t), form=form))

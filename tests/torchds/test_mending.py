@@ -88,6 +88,7 @@ def test_trimmed_rests_leave_the_motion_alone():
     assert (d.x[0] - x[0]).abs().max() < 1e-2 and (d.x[-1] - x[-1]).abs().max() < 1e-2
 
 
+@pytest.mark.slow
 def test_a_fit_to_a_trimmed_motion_stays_near_it():
     """A hundred still samples at both ends send the fitted motion far away."""
     x = reach()

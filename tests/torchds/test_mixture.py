@@ -229,6 +229,7 @@ def test_a_fit_is_as_likely_as_the_mixture_that_made_the_samples(random_mixture,
     assert GaussianMixture.fit(seen, 1).log_prob(fresh).mean() < likelihood - 0.2
 
 
+@pytest.mark.slow
 def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
     fit = GaussianMixture.fit(clusters, 3, covariance_floor=1e-3, seed=1)
     model = sklearn.mixture.GaussianMixture(3, reg_covar=1e-3, n_init=5, tol=1e-6, max_iter=1000, random_state=1)
@@ -250,6 +251,7 @@ def test_the_largest_number_that_is_allowed_is_said_where_it_is_the_best(cluster
     assert said[0].filename == __file__
 
 
+@pytest.mark.slow
 def test_bic_charges_each_free_number_the_logarithm_of_the_samples(randn):
     y, F, M = randn(30, 2), 2, 30
     fits = {K: GaussianMixture.fit(y, K) for K in (1, 2, 3, 4)}
@@ -261,6 +263,7 @@ def test_bic_charges_each_free_number_the_logarithm_of_the_samples(randn):
     assert chosen != min(cheaper, key=cheaper.get)
 
 
+@pytest.mark.slow
 def test_bic_passes_over_numbers_of_components_that_do_not_fit(clusters, monkeypatch):
     fit = sklearn.mixture.GaussianMixture.fit
     singular = {1, 3, 4}
@@ -418,6 +421,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", FITTED)
+@pytest.mark.slow
 def test_degenerate_samples_that_can_be_fitted_give_finite_policies(randn, kind):
     y = FITTED[kind](randn(60, 4))
     mixture = GaussianMixture.fit(y, 3)
@@ -439,6 +443,7 @@ def test_degenerate_samples_that_cannot_be_fitted_are_refused_with_a_way_out(ran
         GaussianMixture.fit(make(randn(60, 4)), 3)
 
 
+@pytest.mark.slow
 def test_a_floor_that_rounding_swallows_is_refused_and_a_larger_one_is_the_way_out(randn):
     y = FITTED["collinear and huge"](randn(60, 4))
     with pytest.raises(DegenerateMixtureError, match="raise the floor or take fewer components"):

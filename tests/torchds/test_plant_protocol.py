@@ -26,6 +26,7 @@ def page():
     return names
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_learns(page):
     assert len(page["costs"]) == 15
     assert page["costs"][-1] < 0.3 * page["costs"][0]

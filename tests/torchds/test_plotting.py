@@ -83,6 +83,7 @@ def test_what_cannot_be_drawn_is_refused(axes, space, random_policy):
             call()
 
 
+@pytest.mark.slow
 def test_streamlines_follow_the_velocity_of_the_policy(axes, random_policy):
     policy = random_policy()
     axes.set(xlim=(-2, 2), ylim=(-1, 3))

@@ -55,6 +55,7 @@ def policy_of(A, goal, means=None):
 
 @settings(max_examples=200, deadline=None)
 @given(cases(), st.floats(1e-3, 2.0), st.booleans())
+@pytest.mark.slow
 def test_any_tensors_give_slopes_in_the_set(case, margin, weighted):
     normals, K, D = case
     P = metric(normals, D) if weighted else torch.eye(D, dtype=torch.float64)
@@ -66,6 +67,7 @@ def test_any_tensors_give_slopes_in_the_set(case, margin, weighted):
 
 @settings(max_examples=100, deadline=None)
 @given(cases(), st.floats(1e-3, 2.0))
+@pytest.mark.slow
 def test_projection_leaves_slopes_in_the_set_alone_and_moves_others_onto_its_boundary(case, margin):
     normals, K, D = case
     P, A = metric(normals, D), normals(K, D, D)
@@ -93,6 +95,7 @@ def test_no_slopes_of_the_set_are_nearer_than_the_projection(randn):
 
 @settings(max_examples=100, deadline=None)
 @given(cases(), st.floats(1e-3, 2.0))
+@pytest.mark.slow
 def test_factors_are_the_inverse_of_the_parametrisation(case, margin):
     normals, K, D = case
     P = metric(normals, D)

@@ -100,6 +100,7 @@ def test_padding_takes_no_part_and_learns_nothing(start, metric, randn):
         assert parameter.grad[0].any() and not parameter.grad[1, 2].any(), name
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_finite_differences(start, metric, randn):
     x, v = randn(2, 4, 2), randn(2, 4, 2)
     model = TrainableMixture(start, randn(2, 3, 2, 2), metric, margin=MARGIN, learn_metric=True)

@@ -173,6 +173,7 @@ class Tracked(nn.Module):
 
 @FORMS
 @pytest.mark.parametrize("rows", [None, (1, 0), (0, 0)])
+@pytest.mark.slow
 def test_a_motion_differentiates_through_bounds_and_limits(form, rows):
     policy = make_policy()
     plant = ImpedanceControlled(PointMass(), form=form, low=9.0, high=20.0, max_rate=10.0, rows=rows)

@@ -66,6 +66,7 @@ def test_a_learner_comes_back_from_its_checkpoint_and_stays_new_without_one(tmp_
     assert not folder.has(CHECKPOINT)
 
 
+@pytest.mark.slow
 def test_results_and_policy_come_back(tmp_path):
     folder = RunFolder(tmp_path)
     record = results("via_point", {"seed": 3}, History(cost=[[1.5, 2.5]], terms={"goal": [[1.5, 2.5]]}))

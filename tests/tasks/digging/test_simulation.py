@@ -25,6 +25,7 @@ def test_the_number_of_threads_changes_no_bit():
     torch.testing.assert_close(alone.pose[0, :50], one.pose[1, :50], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_without_gravel_in_the_way_the_tool_follows():
     reference = scoop(5.0)
     reference = reference[:1].lerp(

@@ -77,6 +77,7 @@ def test_the_cost_is_eq_35_summed_at_500_hz(trial):
     torch.testing.assert_close(task.step_costs(path).sum(-1), task.cost(path))
 
 
+@pytest.mark.slow
 def test_the_demonstrations_are_imitated():
     task = tasks.make("lwr_digging")
     assert [d.x.shape[-1] for d in task.demonstrations] == [3] * 5
@@ -88,6 +89,7 @@ def test_the_demonstrations_are_imitated():
     assert (reference[-1, 2] - task.goal[2]).abs() < 0.15  # rad
 
 
+@pytest.mark.slow
 def test_a_users_recordings_are_learned_from(tmp_path):
     for i in range(2):
         t = np.linspace(0, 1, 60)[:, None]

@@ -43,6 +43,7 @@ def test_the_default_bed_is_at_rest_and_whole():
     assert 0.08 < top < 0.12
 
 
+@pytest.mark.slow
 def test_a_bed_stays_at_rest_after_the_perturbation(worlds, start):
     worlds.reset(start, [3, 4])
     held(worlds, start, 250)

@@ -42,6 +42,7 @@ def make(convention="paper", **options):
 
 @pytest.mark.parametrize("convention", ["paper", "released"])
 @pytest.mark.parametrize("stiffness", ["diagonal", "isotropic"])
+@pytest.mark.slow
 def test_cost_terms_are_those_of_a_loop_over_both_executions(convention, stiffness, tracked, vary):
     task = make(convention, stiffness=stiffness)
     policy = vary(task.policy(), 3, 0.02, stiffness=1.0)
@@ -78,6 +79,7 @@ def test_cost_terms_are_those_of_a_loop_over_both_executions(convention, stiffne
 
 
 @pytest.mark.parametrize("convention", ["paper", "released"])
+@pytest.mark.slow
 def test_the_force_is_there_in_the_second_execution_where_the_mass_is_beyond_the_border(convention):
     task = make(convention, initial_stiffness=3.0)
     with torch.no_grad():
@@ -93,6 +95,7 @@ def test_the_force_is_there_in_the_second_execution_where_the_mass_is_beyond_the
     assert not task.force()(0.0, border, border).any()
 
 
+@pytest.mark.slow
 def test_the_imitated_motion_passes_near_the_via_points_unless_the_force_is_there():
     task = make()
     assert task.policy().n_components == 4
@@ -106,6 +109,7 @@ def test_the_imitated_motion_passes_near_the_via_points_unless_the_force_is_ther
     assert terms["stiffness"].item() == pytest.approx(2e-4 * 150 * 10 * 2**0.5)
 
 
+@pytest.mark.slow
 def test_isotropic_stiffness_has_one_row_and_costs_as_two_equal_ones():
     for convention in ("paper", "released"):
         diagonal, isotropic = make(convention), make(convention, stiffness="isotropic")

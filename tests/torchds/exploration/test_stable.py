@@ -102,6 +102,7 @@ def test_a_convex_combination_of_samples_is_stable(seed, D, K, batch, metric, st
 @pytest.mark.parametrize("elite", ["none", "nominal", "best"])
 @pytest.mark.parametrize("shrink", ["all", "direction"])
 @pytest.mark.parametrize(("D", "metric"), [(2, False), (3, True), (7, True)])
+@pytest.mark.slow
 def test_no_update_leaves_the_set_even_where_instability_is_rewarded(elite, shrink, D, metric):
     policy, goal, P = make_case(D, D, 4, (5,), metric)
     optim = PIBB(policy.parameters(), Stable(policy, Gaussian(0.5), goal, P, shrink=shrink), n_rollouts=8, elite=elite)

@@ -58,6 +58,7 @@ def doubled(first, last, x):
         x[i] *= 2.0
 
 
+@pytest.mark.slow
 def test_compiled_code_is_kept_in_a_file_for_each_form(tmp_path, monkeypatch):
     import numba
 
@@ -79,6 +80,7 @@ def test_compiled_code_is_kept_in_a_file_for_each_form(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", [b"", b"no code", None])
+@pytest.mark.slow
 def test_damaged_code_is_compiled_again(tmp_path, monkeypatch, damage):
     import numba
 

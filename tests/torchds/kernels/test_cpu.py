@@ -27,6 +27,7 @@ FORCES = {
 
 @pytest.mark.parametrize("force", FORCES.values(), ids=FORCES)
 @pytest.mark.parametrize("form", ["implicit", "explicit"])
+@pytest.mark.slow
 def test_point_masses_under_impedance_control(random_policy, randn, form, force):
     policy = random_policy(4, 2, 2, 2, batch=(6,))
     plant = ImpedanceControlled(PointMass(1.3, 0.7, force), form=form, low=0.2, high=0.4)

@@ -59,6 +59,7 @@ def test_a_gating_of_its_own_for_each_policy(random_mixture, randn):
         torch.testing.assert_close(a, b, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_adam_learns_the_same_through_both(random_policy, randn, monkeypatch):
     ends, initial = [], random_policy(3)
     for backend in ("fused", "eager"):

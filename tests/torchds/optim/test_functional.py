@@ -94,6 +94,7 @@ finite = st.lists(st.integers(-1000, 1000), min_size=2, max_size=12)
 
 @settings(deadline=None)  # the first call of torch is slow
 @given(costs=finite, shift=st.integers(-(10**6), 10**6), power=st.integers(-30, 30), kind=st.sampled_from(TEMPERATURES))
+@pytest.mark.slow
 def test_shifting_and_scaling_the_costs_changes_nothing(costs, shift, power, kind):
     S = torch.tensor(costs, dtype=torch.float64)
     moved = (S + shift) * 2.0**power  # exact: integers below 2⁵³ and powers of two
@@ -104,6 +105,7 @@ def test_shifting_and_scaling_the_costs_changes_nothing(costs, shift, power, kin
 
 @settings(deadline=None)  # the first call of torch is slow
 @given(costs=finite, kind=st.sampled_from(TEMPERATURES), failed=st.integers(0, 11))
+@pytest.mark.slow
 def test_weights_sum_to_one_and_a_cheaper_rollout_never_gets_less(costs, kind, failed):
     S = torch.tensor(costs, dtype=torch.float64)
     if failed < len(costs):

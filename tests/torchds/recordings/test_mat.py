@@ -15,6 +15,7 @@ def cell(items):
 
 
 @pytest.mark.parametrize("rows", [True, False])
+@pytest.mark.slow
 def test_mat_cells_of_structs(tmp_path, rows):
     turn = (lambda a: a) if rows else (lambda a: a.T)
     demos = two(stiffness=True)
@@ -67,6 +68,7 @@ def test_mat_cells_of_matrices_structs_and_plain_arrays(tmp_path):
     assert equal(load_mat(path), Demonstrations([xa], dt=dt))
 
 
+@pytest.mark.slow
 def test_mat_with_forward_differences_drops_the_last_position(tmp_path):
     x, _, dt = sine()
     scipy.io.savemat(tmp_path / "a.mat", {"demos": cell([{"pos": x.T, "vel": np.diff(x.T) / dt, "dt": dt}])})
@@ -107,6 +109,7 @@ def test_mat_variable_must_be_chosen_and_exist(tmp_path):
         ({"demos": cell([np.full((9, 2), np.inf)]), "dt": 1}, ["demonstration 0, row 0", "have to be finite, got inf"]),
     ],
 )
+@pytest.mark.slow
 def test_mat_refuses(tmp_path, contents, words):
     path = tmp_path / "bad.mat"
     scipy.io.savemat(path, contents)

@@ -25,6 +25,7 @@ def test_structs_in_cells_at_any_depth(mat):
         load(mat(recorded=inner, dt=STEP), positions="poses")
 
 
+@pytest.mark.slow
 def test_a_mutated_mat_file_is_an_error_and_not_the_end(mat):
     """scipy crashes on some; its process is another one."""
     path = mat(data=cell(MOTION.T, MOTION.T), dt=STEP)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 import scipy.io
 
 from torchds.recordings.matlab import CODE
@@ -15,6 +16,7 @@ def run(path):
     return subprocess.run([sys.executable, "-P", CODE, path], capture_output=True)
 
 
+@pytest.mark.slow
 def test_what_it_writes_is_plain(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"s": {"x": np.eye(2), "name": "arm"}, "n": 3})
     with np.load(io.BytesIO(run(tmp_path / "a.mat").stdout), allow_pickle=False) as arrays:
@@ -24,6 +26,7 @@ def test_what_it_writes_is_plain(tmp_path):
         assert arrays[tree["n"]["array"]] == 3
 
 
+@pytest.mark.slow
 def test_how_it_ends(tmp_path):
     (tmp_path / "a.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
     assert run(tmp_path / "a.mat").returncode == 3

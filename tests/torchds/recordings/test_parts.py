@@ -81,6 +81,7 @@ def test_dt_of_several_files_of_which_some_have_a_clock(tmp_path):
     assert load(pattern, dt=0.01).dt == (0.01, 0.01) and load(pattern, dt=[0.01, 0.02]).dt == (0.01, 0.02)
 
 
+@pytest.mark.slow
 def test_dt_of_several_matlab_files(tmp_path):
     scipy.io.savemat(tmp_path / "run0.mat", {"x": X})
     scipy.io.savemat(tmp_path / "run1.mat", {"x": X, "dt": 0.02})
@@ -120,6 +121,7 @@ def test_padding_by_nan_and_by_zeros(mat):
         assert is_motion(load(mat(x=zeros, dt=STEP)), x=MOTION + 5, dt=STEP)
 
 
+@pytest.mark.slow
 def test_a_motion_that_rests_at_zero_is_not_cut(mat):
     ending = np.concatenate([MOTION - MOTION[-1], np.zeros((10, 2))])
     with pytest.warns(DemonstrationWarning, match="rest"):

@@ -58,6 +58,7 @@ def test_the_table_has_the_ratio_first_and_is_written_and_compared(quick, tmp_pa
     assert compared(found, found).startswith("nothing is slower than on 20")
 
 
+@pytest.mark.slow
 def test_without_a_compiler_there_is_no_floor(quick, monkeypatch, capsys):
     monkeypatch.setattr("shutil.which", lambda name: None)
     Benchmark(repeats=1).main()

@@ -34,6 +34,7 @@ def test_each_policy_is_tried_from_its_own_start(task, randn):
     torch.testing.assert_close(one_start(task, policy, 4, "range")(), expected, atol=1e-9, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_tasks_without_several_starts_and_uneven_shares_are_refused(task):
     with pytest.raises(InvalidArgumentError, match="does not have several starts"):
         one_start(tasks.make("via_point"), tasks.make("via_point").policy(), 4, "range")

@@ -80,6 +80,7 @@ def test_curves_figure_and_tensorboard_are_written(finished):
     assert "hparam/final_cost_median" in events.Tags()["scalars"]
 
 
+@pytest.mark.slow
 def test_runs_that_exist_are_not_made_again(finished, monkeypatch):
     def update(learner):
         raise AssertionError("this run exists")
@@ -113,6 +114,7 @@ def test_an_interrupted_comparison_continues_and_ends_the_same(finished, tmp_pat
         assert {k: v for k, v in a.items() if k not in timed} == {k: v for k, v in b.items() if k not in timed}
 
 
+@pytest.mark.slow
 def test_what_a_task_refuses_is_said_and_not_a_failure(task, tmp_path, monkeypatch):
     monkeypatch.setattr(task, "differentiable", False, raising=False)
     folder = Compare(
@@ -124,6 +126,7 @@ def test_what_a_task_refuses_is_said_and_not_a_failure(task, tmp_path, monkeypat
     assert "Cannot be had:\n\n- adam: " in (folder / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_other_runs_can_be_added(finished, tmp_path):
     other = next((finished.parent / "runs" / "via_point").glob("cobyqa-*"))
     small = {**SMALL, "optimizers": ("pibb",), "coordinates": ("plain",), "factors": (1.0,), "updates": 1}
@@ -133,6 +136,7 @@ def test_other_runs_can_be_added(finished, tmp_path):
         Compare(**small, add=(tmp_path.__class__("nowhere"),), logdir=tmp_path).main()
 
 
+@pytest.mark.slow
 def test_noise_makes_deterministic_methods_random(tmp_path):
     small = {**SMALL, "optimizers": ("cobyqa",), "coordinates": ("plain",), "factors": (1.0,), "updates": 6}
     folder = Compare(**small, noise_std=0.3, logdir=tmp_path).main()

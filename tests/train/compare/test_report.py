@@ -111,6 +111,7 @@ def test_the_page_has_every_problem_and_says_where_costs_are_noisy():
     assert "normal noise of 0.3 times" in page(rows, OPTIONS | {"noise_std": 0.3}, {})
 
 
+@pytest.mark.slow
 def test_all_files_are_written_and_agree(tmp_path):
     rows = [outcome("pibb", 2.0, factor=1.0), Outcome("p", "cma", refused="no such package")]
     text = write(tmp_path, rows, OPTIONS, {})

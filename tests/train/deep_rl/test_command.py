@@ -53,6 +53,7 @@ def test_agents_begin_at_the_demonstrated_policy(tmp_path):
         assert content["cost"][0][0] == pytest.approx(float(task.cost(task.rollout(task.policy()))), rel=0.1)
 
 
+@pytest.mark.slow
 def test_stable_baselines3_gets_the_last_observation_of_an_episode():
     batch = agents.Batch(TaskVectorEnv("two_starts", 2))
     start = batch.reset()

@@ -71,6 +71,7 @@ def test_a_session_with_a_robot_in_another_process_learns_as_one_in_this_process
     assert command("ask", folder)[0] == 2
 
 
+@pytest.mark.slow
 def test_commands_to_the_wrong_folder_are_one_line(command, tmp_path):
     start = ("start", "--seconds", SECONDS, "--rollouts", N, tmp_path / "s")
     assert command(*start)[0] == 0
@@ -80,6 +81,7 @@ def test_commands_to_the_wrong_folder_are_one_line(command, tmp_path):
     assert code == 2 and "holds a session already; python -m train hardware status" in said
 
 
+@pytest.mark.slow
 def test_the_commands_say_what_comes_next(command, tmp_path):
     folder = tmp_path / "s"
     code, said = command("start", "--seconds", SECONDS, "--rollouts", N, "--updates", 1, folder)

@@ -6,6 +6,7 @@ from train.hardware import latency
 from train.hardware.latency import Latency, forms, policy
 
 
+@pytest.mark.slow
 def test_a_row_for_each_form_with_median_and_tail(capsys, monkeypatch):
     monkeypatch.setattr(latency.importlib.util, "find_spec", lambda name: None)  # nothing is compiled
     Latency(ticks=20).main()

@@ -14,6 +14,7 @@ def policy():
     return GMRPolicy(torch.ones(1), torch.zeros(1, 2), 400 * eye, -0.5 * eye, torch.zeros(1, 2))
 
 
+@pytest.mark.slow
 def test_the_open_loop_returns_to_the_motion_and_the_others_go_on_from_where_they_are(policy, monkeypatch):
     monkeypatch.setattr(push, "DT", 0.02)
     paths = pushed(policy, torch.tensor([-20.0, 10.0], dtype=torch.float64))

@@ -58,6 +58,7 @@ def cost_terms(session):
     return session.evidence(["there"] * N).terms(session.learner.policy)
 
 
+@pytest.mark.slow
 def test_the_references_are_what_the_policies_ask_for_digit_by_digit(session):
     mine = session()
     for p in mine.learner.policy.parameters():
@@ -80,6 +81,7 @@ def test_the_references_are_what_the_policies_ask_for_digit_by_digit(session):
     assert (poses[1:, 0] - imitated).abs().amax((1, 2)).min() > 1e-3
 
 
+@pytest.mark.slow
 def test_asking_again_writes_the_same_files(session):
     folder = session().update_folder
     before = {file.name: file.read_text() for file in folder.iterdir()}
@@ -88,6 +90,7 @@ def test_asking_again_writes_the_same_files(session):
     assert {file.name: file.read_text() for file in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_partial_set_changes_nothing_until_the_rest_counts_as_failed(session, tmp_path):
     folder, before = session().update_folder, (tmp_path / "s" / "session.pt").read_bytes()
     record(folder, 1)
@@ -108,6 +111,7 @@ def test_a_partial_set_changes_nothing_until_the_rest_counts_as_failed(session, 
         session().tell()
 
 
+@pytest.mark.slow
 def test_a_repeated_tell_says_so_and_changes_nothing(session, tmp_path):
     costs(session().update_folder, 1.0, 2.0, 3.0)
     session().tell()
@@ -116,6 +120,7 @@ def test_a_repeated_tell_says_so_and_changes_nothing(session, tmp_path):
     assert {file: file.read_bytes() for file in tmp_path.rglob("[!.]*.*") if file.is_file()} == before
 
 
+@pytest.mark.slow
 def test_where_all_roll_outs_fail_the_policy_stays_and_other_ones_are_asked(session, tmp_path):
     first = session().update_folder
     costs(first, "failed", "", "failed")
@@ -133,6 +138,7 @@ def test_where_all_roll_outs_fail_the_policy_stays_and_other_ones_are_asked(sess
     assert (results["rollouts"], results["failed"], results["terms"]["measured"]) == ([3], [3], [[1.0]])
 
 
+@pytest.mark.slow
 def test_a_reference_out_of_reach_is_not_given_to_the_robot(tmp_path):
     Session.start(tmp_path, options(noise=2.0)).ask()
     mine = Session.open(tmp_path)
@@ -251,6 +257,7 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
     ],
     ids=["unit", "column", "short", "long", "nan", "time", "gap", "empty", "no newline", "cut", "header alone"],
 )
+@pytest.mark.slow
 def test_recordings_that_cannot_be_used_are_refused_and_change_nothing(file, words, session, tmp_path):
     folder, before = session().update_folder, (tmp_path / "s" / "session.pt").read_bytes()
     for k in (1, 2, 3):
@@ -263,6 +270,7 @@ def test_recordings_that_cannot_be_used_are_refused_and_change_nothing(file, wor
     assert (tmp_path / "s" / "session.pt").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_recording_that_starts_elsewhere_is_refused(session):
     for k in (1, 2, 3):
         record(session().update_folder, k, shift=0.1)
@@ -271,12 +279,14 @@ def test_a_recording_that_starts_elsewhere_is_refused(session):
 
 
 @pytest.mark.parametrize("line", ["4,1.0", "1,1.0", "2,much", "2,inf", "2,nan", "2", "2,1,1"])
+@pytest.mark.slow
 def test_costs_that_cannot_be_used_are_refused(line, session):
     (session().update_folder / "costs.csv").write_text(f"rollout,cost\n1,1.0\n{line}\n")
     with pytest.raises(TorchdsError, match=re.escape(f"{line!r} is no line like 3,1.25 or 3,failed")):
         session().tell()
 
 
+@pytest.mark.slow
 def test_recordings_at_other_rates_give_the_costs_of_the_motion(session):
     """A smooth motion under a smooth force, sampled at 1 kHz, at 100 Hz, and at uneven times: the same cost."""
     mine = session()
@@ -307,6 +317,7 @@ def test_recordings_at_other_rates_give_the_costs_of_the_motion(session):
             torch.testing.assert_close(measured, exact[name], rtol=2e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_force_across_the_plane_is_zero_where_it_is_not_recorded_and_costs_where_it_is(session):
     folder = session().update_folder
     for k in (1, 2, 3):
@@ -320,6 +331,7 @@ def test_a_force_across_the_plane_is_zero_where_it_is_not_recorded_and_costs_whe
     assert after.tolist() == pytest.approx([0.0, T * 2 * 1e-6 * 100, 0.0])
 
 
+@pytest.mark.slow
 def test_a_session_is_told_one_kind_of_file(session):
     costs(session().update_folder, 1.0, 2.0, 3.0)
     session().tell()
@@ -340,12 +352,14 @@ def test_a_session_is_told_one_kind_of_file(session):
         ({"rollouts": 0}, "--rollouts has to be at least 1"),
     ],
 )
+@pytest.mark.slow
 def test_options_that_do_not_fit_a_robot_are_refused_before_a_folder_is_made(changed, words, tmp_path):
     with pytest.raises(InvalidArgumentError, match=words):
         Session.start(tmp_path / "s", options(**changed))
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.slow
 def test_a_session_keeps_its_demonstrations_and_may_be_moved(tmp_path):
     given = tmp_path / "given"
     shutil.copytree(ROOT / "tasks" / "digging" / "demonstrations", given)

@@ -25,6 +25,7 @@ def test_repetitions_draw_splits_from_their_seeds():
     assert len(first.train[0][0].x) == 125
 
 
+@pytest.mark.slow
 def test_the_share_at_the_goal_counts_each_motions_starts():
     """One field ends at the goal, one beside it, one only where x1 > 0 (half of the starts), one runs away."""
     slopes = torch.diag_embed(torch.tensor([[-1.0, -1.0], [-1.0, -1.0], [0.0, -1.0], [1.0, 1.0]])).double()

@@ -19,6 +19,7 @@ def options(**given):
     return options_for("via_point", **{"runs": 2, "updates": 3, "rollouts": 5, **given})
 
 
+@pytest.mark.slow
 def test_what_wraps_the_trials_sees_each_of_them_and_changes_nothing_by_looking(task):
     seen = []
 

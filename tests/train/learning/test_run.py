@@ -1,16 +1,11 @@
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torchds import files
 from torchds.errors import InvalidArgumentError
 from train.learning.run import run
 from train.options import options_for
@@ -65,29 +60,6 @@ def test_runs_of_one_batch_differ(finished):
     assert len(set(costs(finished)[-1])) == 2
 
 
-@pytest.mark.slow
-def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one(tmp_path):
-    command = [sys.executable, "-m", "train", "via_point", "--runs", "2", "--updates", "120", "--logdir"]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    where = {"cwd": ROOT, "env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    subprocess.run([*command, str(tmp_path / "whole")], check=True, **where)
-    with subprocess.Popen([*command, str(tmp_path / "killed")], **where) as process:
-        deadline = time.monotonic() + 120
-        while not list((tmp_path / "killed").rglob("checkpoint.pt")) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        time.sleep(0.3)
-        process.send_signal(signal.SIGKILL)
-    (folder,) = (tmp_path / "killed" / "via_point" / "pibb").iterdir()
-    assert not (folder / "results.json").exists(), "the run ended before it was killed"
-    saved = files.load(folder / "checkpoint.pt", "checkpoint")["learner"]
-    assert 1 < len(saved["history"]["cost"]) < 121
-    subprocess.run([sys.executable, "-m", "train", "via_point", "--resume", str(folder)], check=True, **where)
-    (whole,) = (tmp_path / "whole" / "via_point" / "pibb").iterdir()
-    assert costs(folder) == costs(whole)
-    a, b = (files.load(f / "policy.pt", "policy")["values"] for f in (folder, whole))
-    assert all(torch.equal(a[name], b[name]) for name in a)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -98,12 +70,14 @@ def test_a_run_that_is_killed_and_resumed_ends_bit_for_bit_as_an_undisturbed_one
         ({"resume": Path("nowhere")}, "--resume nowhere: no options.json there"),
     ],
 )
+@pytest.mark.slow
 def test_wrong_options_are_refused_before_a_folder_is_made(options, words, tmp_path):
     with pytest.raises(InvalidArgumentError, match=words):
         run(options_for("via_point", logdir=tmp_path, **options))
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_wrong_option_of_the_command_is_one_line_and_exit_code_2():
     command = [sys.executable, "-m", "train", "via_point", "--mixture", "nowhere.npz"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
@@ -112,11 +86,13 @@ def test_a_wrong_option_of_the_command_is_one_line_and_exit_code_2():
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_zero_updates_leave_the_imitated_policy(tmp_path):
     assert len(costs(run(options_for("via_point", updates=0, logdir=tmp_path)))) == 1
 
 
 @pytest.mark.parametrize("exploration", ["homogeneous", "gaussian"])
 @pytest.mark.parametrize("decay", ["inverse", "none"])
+@pytest.mark.slow
 def test_every_exploration_and_decay_runs(exploration, decay, tmp_path):
     run(options_for("via_point", updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))

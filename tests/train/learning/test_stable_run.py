@@ -16,6 +16,7 @@ def task():
     return Learner(options_for("constrained_reaching")).task
 
 
+@pytest.mark.slow
 def test_the_certificate_of_every_update_is_logged(tmp_path):
     folder = run(options_for("constrained_reaching", runs=2, updates=3, rollouts=5, logdir=tmp_path))
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
@@ -24,6 +25,7 @@ def test_the_certificate_of_every_update_is_logged(tmp_path):
     assert max(eigenvalues) < 0
 
 
+@pytest.mark.slow
 def test_zero_violations_over_a_full_training_run(task):
     learner = Learner(options_for("constrained_reaching", runs=3, exploration="stable-trajectory"), task)
     learner.start()
@@ -50,6 +52,7 @@ def test_options_reach_the_exploration(task, shrink):
     assert made.raw.goal is not None
 
 
+@pytest.mark.slow
 def test_a_learned_metric_reaches_the_exploration():
     learner = Learner(options_for("constrained_reaching", condition="p-qlf"))
     assert learner.searcher.optim.explorations[0].P is learner.task.P

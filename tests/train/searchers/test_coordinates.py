@@ -45,6 +45,7 @@ def counted(learner):
 
 @pytest.mark.parametrize("exploration", ["homogeneous", "trajectory"])
 @pytest.mark.parametrize("name", [*SAMPLED, *METHODS])
+@pytest.mark.slow
 def test_every_trial_is_counted_and_the_budget_is_kept(task, name, exploration):
     search = learner(task, name, updates=11, exploration=exploration)
     calls = counted(search)
@@ -63,6 +64,7 @@ def test_every_trial_is_counted_and_the_budget_is_kept(task, name, exploration):
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_all_improve(task, name):
     history = learner(task, name, updates=8 if name in GRADIENTS else 20).learn().history
     assert np.median(history.cost[-1]) < 0.9 * np.median(history.cost[0])
@@ -84,6 +86,7 @@ def test_equal_seeds_give_equal_results_and_a_resumed_run_ends_bit_for_bit_as_an
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_runs_differ_where_a_method_draws_or_the_cost_is_noisy_and_only_there(task, name):
     cost = learner(task, name, updates=5).learn().history.cost[-1]
     assert (cost[0] != cost[1]) == METHODS[name].random
@@ -155,12 +158,14 @@ def test_gradients_in_z_agree_with_finite_differences(task, exploration):
 # ---------------------------------------------------------------------- what is refused
 
 
+@pytest.mark.slow
 def test_stiffness_is_searched_too():
     search = Learner(options_for("divergent_field", runs=1, optimizer="lbfgs", updates=1, rollouts=3)).learn()
     assert not torch.equal(search.policy.stiffness_b[0], search.initial.stiffness_b)
     assert search.history.cost[-1][0] < search.history.cost[0][0]
 
 
+@pytest.mark.slow
 def test_a_method_is_any_generator():
     """The interface that a new method has to keep: here, one that stands still."""
 

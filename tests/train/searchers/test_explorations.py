@@ -20,6 +20,7 @@ def task():
 @pytest.mark.parametrize(
     ("name", "kind"), [("homogeneous", Homogeneous), ("gaussian", Gaussian), ("trajectory", TrajectorySpace)]
 )
+@pytest.mark.slow
 def test_every_name_is_one_exploration(task, name, kind):
     options = options_for("via_point", exploration=name)
     assert isinstance(make_exploration(options, task, task.policy()), kind)
@@ -33,6 +34,7 @@ def test_the_size_of_homogeneous_noise_is_the_one_given(task):
         torch.testing.assert_close(two[name], 2 * one[name])
 
 
+@pytest.mark.slow
 def test_stiffness_or_motion_alone_is_perturbed_where_that_is_asked():
     from tasks import make
 
@@ -64,6 +66,7 @@ class Tenfold(Unsized):
 
 
 @pytest.mark.parametrize("name", ["homogeneous", "gaussian", "stable"])
+@pytest.mark.slow
 def test_noise_of_a_task_without_sizes_is_a_share_of_its_motion_in_any_unit(name):
     """The same normals make velocities twelve per cent as fast as the motion, whatever it is measured in."""
     shares = []

@@ -33,6 +33,7 @@ def bowl(z):
 
 
 @pytest.mark.parametrize(("name", "updates", "atol"), [("lbfgs", 60, 1e-6), ("cobyqa", 120, 1e-4), ("cma", 150, 1e-3)])
+@pytest.mark.slow
 def test_libraries_find_the_minimum_of_each_run(name, updates, atol):
     found = minimum(name, bowl, 3, updates)
     expected = torch.arange(3, dtype=torch.float64).unsqueeze(-1).expand(3, 4)
@@ -53,6 +54,7 @@ def test_cobyqa_tries_what_scipy_tries():
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_trials_that_fail_are_survived(name):
     """Half of the space costs infinity, and one of two minima is there."""
     found = minimum(name, lambda z: torch.where(z[..., 0] > 0.9, torch.inf, bowl(z)), 2, 60)

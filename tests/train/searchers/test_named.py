@@ -26,6 +26,7 @@ def learner(task, name, **options):
     return Learner(options_for("via_point", runs=2, optimizer=name, updates=3, rollouts=5, **options), task)
 
 
+@pytest.mark.slow
 def test_a_name_makes_the_searcher_of_its_kind(task):
     policy = task.policy().expand(2)
     sampled = make_searcher(options_for("via_point", runs=2, optimizer="pi2cma", rollouts=6), task, policy)
@@ -48,6 +49,7 @@ def test_every_name_of_the_option_is_one_optimizer():
 
 
 @pytest.mark.parametrize("name", GRADIENTS)
+@pytest.mark.slow
 def test_gradients_are_refused_where_there_are_none(name):
     class Rigid(tasks.ViaPoint):
         differentiable = False

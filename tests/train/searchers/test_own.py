@@ -77,6 +77,7 @@ def learner(task, **options):
     return Learner(options_for("via_point", **{"runs": 2, "updates": 3, "rollouts": 5, **options}), task)
 
 
+@pytest.mark.slow
 def test_an_own_optimizer_gets_what_pibb_gets(task, mine):
     given = {"scale": 0.7, "seed": 5, "temperature": "capped", "elite": "nominal", "decay": "inverse"}
     own, usual = (learner(task, optimizer=name, **given).learn() for name in (mine("Same"), "pibb"))

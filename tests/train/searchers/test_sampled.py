@@ -38,6 +38,7 @@ def test_the_exponential_decay_ends_after_fifty_updates_or_with_the_run():
     assert [factor("linear", 20)(n) for n in (0, 9, 19)] == pytest.approx([0.95, 0.5, 0.1])
 
 
+@pytest.mark.slow
 def test_a_step_takes_the_decay_one_update_further(task):
     mine = learner(task, decay="inverse", scale=3.0)
     widths = []

@@ -54,6 +54,7 @@ def two_updates(monkeypatch):
     learned.cache_clear()
 
 
+@pytest.mark.slow
 def test_two_claims_are_measured_and_all_tables_agree(two_updates, tmp_path, capsys):
     names = ("pibb-below-pi2", "noise-within-half")
     kept = tmp_path / "docs" / "claims.md"

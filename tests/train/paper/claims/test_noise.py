@@ -39,6 +39,7 @@ def test_half_of_the_policies_have_to_diverge_from_somewhere(runs, holds, monkey
     assert check.holds == holds and f"{runs} of 20" in check.what and "of 100 starts" in check.what
 
 
+@pytest.mark.slow
 def test_one_gaussian_alone_has_the_desired_noise_at_its_centre_and_uniform_noise_grows():
     alone, together = noise.centres(SETTING)
     assert alone.holds and alone.n == together.n == 4

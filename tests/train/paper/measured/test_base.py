@@ -18,6 +18,7 @@ def quick(monkeypatch):
     base.learned.cache_clear()
 
 
+@pytest.mark.slow
 def test_learning_runs_are_made_once_for_one_question(quick):
     one = base.learned("via_point", 2, 0, shape="N")
     assert base.learned("via_point", 2, 0, shape="N") is one

@@ -46,6 +46,7 @@ def test_how_far_the_force_pushes_is_measured_at_one_time(randn):
         assert float(found[run]) == pytest.approx(max(gaps))
 
 
+@pytest.mark.slow
 def test_the_reference_lies_off_the_nominal_path_and_the_point_mass_farther():
     task, path = impedance.before_learning("divergent_field")
     nominal = task.nominal()

@@ -53,6 +53,7 @@ def test_motions_without_noise_are_the_policys_own_and_a_seed_says_which_they_ar
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(-1.0, False), (0.5, True), (math.nan, True)])
+@pytest.mark.slow
 def test_a_field_that_pushes_away_diverges_and_one_that_pulls_does_not(rate, expected):
     task = tasks.make("via_point", shape="N")
     policy = task.policy().expand(2)
