@@ -342,6 +342,7 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
 def test_arrays_and_lists_are_the_same_numbers(name):
     call, tensors = CASES[name]
     expected = plain(call(**tensors))

@@ -91,6 +91,7 @@ def test_no_sample_and_no_update_leaves_the_stable_set(seed, D, K, log_condition
     log_margin=st.floats(-14, 0),
     dtype=st.sampled_from([torch.float32, torch.float64]),
 )
+@pytest.mark.slow
 def test_what_is_called_proven_is_stable_in_extended_precision(seed, D, log_condition, log_margin, dtype):
     generator = torch.Generator().manual_seed(seed)
     P = metric(generator, D, 10**log_condition)

@@ -212,6 +212,7 @@ def test_costs_in_an_unreadable_encoding_are_refused(folder, raw):
         Session.open(folder).tell()
 
 
+@pytest.mark.slow
 def test_a_stale_process_replaces_nothing(folder):
     stale, update = Session.open(folder), folder / "update-001"
     (update / "costs.csv").write_text("rollout,cost\n1,1.0\n2,3.0\n3,1.0\n")

@@ -111,6 +111,7 @@ def test_the_cost_term_is_learned(page, policy):
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
 def test_the_task_is_learned(page):
     task = page["Detour"](height=0.3)
     with torch.no_grad():

@@ -81,6 +81,7 @@ def mean_noise(policy, std, x):
 
 
 @SHAPES
+@pytest.mark.slow
 def test_the_noise_is_within_half_of_what_is_desired_on_the_path_and_uniform_noise_is_not(shape):
     """Section 4.1 and Fig. 5."""
     task, speed = tasks.make("via_point", shape=shape), 1.0

@@ -21,6 +21,7 @@ def mixture():
 
 @pytest.mark.parametrize("convention", ["paper", "released"])
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_a_trial_costs_the_same_there(name, convention, mixture, monkeypatch):
     here = tasks.make(name, convention=convention, mixture=mixture)
     motion = here.motion()

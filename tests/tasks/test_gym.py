@@ -109,6 +109,7 @@ def test_the_batch_is_as_many_single_environments(name, env_of, actions_of):
 
 
 @EVERY
+@pytest.mark.slow
 def test_zero_actions_are_the_demonstrated_policy(name, env_of):
     task = env_of(name).trials.task
     _, rewards, _ = play(env_of(name), np.zeros((env_of(name).trials.n_steps, env_of(name).trials.n_actions)))
@@ -128,6 +129,7 @@ def test_costs_fall_due_when_they_arise(env_of):
     assert rewards[-1] < -float(terms["via_points"] + terms["goal"])
 
 
+@pytest.mark.slow
 def test_the_batch_begins_again_in_the_step_in_which_it_ends(env_of, actions_of):
     env = tasks.gym.TaskVectorEnv(env_of("ViaPointN").trials.task, 3)
     start, _ = env.reset()
@@ -142,6 +144,7 @@ def test_two_starts_have_an_action_each_and_two_executions_share_theirs(env_of):
     assert env_of("HalfPlaneForce").trials.action_shape == (1, 1, 4)
 
 
+@pytest.mark.slow
 def test_the_ids_make_the_batch_too(env_of):
     env = gymnasium.make_vec("torchds/ViaPointP-v0", num_envs=2, vectorization_mode="vector_entry_point")
     assert isinstance(env.unwrapped, tasks.gym.TaskVectorEnv)

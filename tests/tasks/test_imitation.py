@@ -21,6 +21,7 @@ def test_stiffness_that_was_demonstrated_is_used():
         tasks.make("divergent_field", demonstrations=shown, stiffness="isotropic").policy()
 
 
+@pytest.mark.slow
 def test_a_task_without_use_for_stiffness_says_so():
     demos = tasks.make("via_point").demonstrations.with_stiffness(100.0)
     with pytest.warns(DemonstrationWarning, match=r"1 variable\(s\) .* left out: this task learns no stiffness"):

@@ -11,6 +11,7 @@ from torchds import rollout
 from torchds.exploration import Homogeneous
 
 
+@pytest.mark.slow
 def test_a_motion_is_what_a_roll_out_takes():
     task = tasks.make("via_point")
     motion = task.motion()

@@ -9,6 +9,7 @@ from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 
 
+@pytest.mark.slow
 def test_without_actions_the_steps_are_the_plain_roll_out():
     task = Short()
     trials, plain = Trials(task, 3), task.rollout(task.policy())
@@ -20,6 +21,7 @@ def test_without_actions_the_steps_are_the_plain_roll_out():
     assert not trials.done and trials.observe().shape == (3, trials.n_observations)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_stepped_is_refused():
     task = Short()
     with pytest.raises(InvalidArgumentError, match="n has to be at least 1, got 0"):

@@ -39,6 +39,7 @@ def test_with_the_papers_settings_the_median_of_20_runs_passes_the_via_points(sh
     assert learn(task, 20, seed=0).median() <= bound
 
 
+@pytest.mark.slow
 def test_cost_terms_are_those_of_equation_39():
     task = tasks.make("via_point", shape="N")
     with torch.no_grad():
@@ -52,6 +53,7 @@ def test_cost_terms_are_those_of_equation_39():
     assert float(terms["control"]) == 0.0
 
 
+@pytest.mark.slow
 def test_the_control_term_of_a_changed_policy_is_its_squared_deviation():
     task = tasks.make("via_point", shape="P")
     policy = task.policy()
@@ -84,6 +86,7 @@ def test_demonstrations_and_mixture_can_be_given_as_objects_and_as_files(tmp_pat
         torch.testing.assert_close(given.policy().A, own.policy().A, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_a_mixture_file_with_greek_names_is_read(tmp_path):
     m = tasks.make("via_point").mixture
     np.savez(tmp_path / "m.npz", gmm_priors=m.priors, gmm_mu=m.means, gmm_sigma=m.covariances)
@@ -108,6 +111,7 @@ def test_wrong_options_are_refused(options, error, words):
         tasks.make("via_point", **options)
 
 
+@pytest.mark.slow
 def test_costs_by_steps_add_up_to_the_cost():
     task = tasks.make("via_point", shape="P")
     policy = task.policy().expand(2)

@@ -45,6 +45,7 @@ def compiled(folder, language):
 
 @pytest.mark.parametrize("language", LANGUAGES)
 @pytest.mark.parametrize("size", [{}, {"K": 5, "D": 3, "O": 4, "Q": 2}, {"K": 1, "D": 1, "O": 1}])
+@pytest.mark.slow
 def test_it_is_the_policy_in_a_thousand_states(random_policy, randn, tmp_path, language, size):
     policy = random_policy(**size, moved=True)
     c_header.write(policy, tmp_path / "motion.h")

@@ -53,6 +53,7 @@ def steps(device, dtype=torch.float64):
         yield path.to("cpu", torch.float64)
 
 
+@pytest.mark.slow
 def test_everything_meets_on_a_device_that_is_not_there():
     here = list(steps("cpu"))
     with pretended():

@@ -33,6 +33,7 @@ def arc():
 
 @pytest.mark.parametrize("K", [1, 2, 5])
 @pytest.mark.parametrize("away", [0.0, 1e4])
+@pytest.mark.slow
 def test_the_search_ends_where_scikit_learn_does(arc, K, away):
     model, found = by_sklearn(arc + away, K), em.search(arc + away, K, OPTIONS)
     assert_close(found.log_likelihood, model.score(arc + away), rtol=0, atol=2e-6)
@@ -41,6 +42,7 @@ def test_the_search_ends_where_scikit_learn_does(arc, K, away):
     assert_close(found.covariances, model.covariances_, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_criterion_is_that_of_scikit_learn(arc):
     assert_close(em.criterion(em.search(arc, 3, OPTIONS), *arc.shape), by_sklearn(arc, 3).bic(arc), rtol=0, atol=2e-3)
     assert em.criterion(None, *arc.shape) == math.inf
@@ -77,6 +79,7 @@ def test_many_samples_are_fitted_from_starts_on_a_part_of_them(monkeypatch):
     assert_close(model.covariances_[order], alone.covariances_[expected], rtol=1e-2, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_fit_uses_one_thread_and_gives_the_others_back(arc, monkeypatch):
     def threads():
         return {pool["num_threads"] for pool in threadpoolctl.threadpool_info()}

@@ -101,6 +101,7 @@ def test_the_likelihood_is_an_objective_too(angle, condition):
 # ---------------------------------------------------------------------- goals
 
 
+@pytest.mark.slow
 def test_the_goal_is_where_the_demonstrations_end_or_where_one_says(angle, fitted):
     ends = torch.stack([demo.x[-1] for demo in angle]).mean(0)
     assert_close(fitted["seds"].goal, ends)
@@ -158,6 +159,7 @@ def test_a_fit_does_not_depend_on_the_unit_of_length(angle, scale):
     assert_close(theirs.goal / scale, ours.goal)
 
 
+@pytest.mark.slow
 def test_a_batch_of_one_keeps_its_batch(angle):
     fit = fit_stable([angle], 2, n_steps=10)
     assert fit.policy.batch_shape == (1,)
@@ -174,6 +176,7 @@ def test_fits_may_share_a_start(angle, fitted):
     assert_close(fit.policy.A.data, fitted["p-qlf"].policy.A.data, rtol=1e-2, atol=1e-2)  # units there and back
 
 
+@pytest.mark.slow
 def test_a_fit_does_not_need_the_callers_gradients(angle):
     with torch.no_grad():
         assert fit_stable(angle, 2, n_steps=10).certificate().stable
@@ -193,6 +196,7 @@ def test_three_dimensions(randn):
 
 
 @pytest.mark.parametrize("fit", [lambda demos: fit_stable(demos, 2, n_steps=10), lambda demos: fit_mixtures(demos, 2)])
+@pytest.mark.slow
 def test_a_fit_says_what_is_suspicious_about_its_motions(angle, fit):
     backward = Demonstrations([d.x for d in angle], [-d.v for d in angle], dt=angle.dt)
     with pytest.warns(DemonstrationWarning) as said:

@@ -105,6 +105,7 @@ def test_a_tracked_motion_is_equations_29_to_33(form, Q, force, mass, damping):
 @FORMS
 @pytest.mark.parametrize("batch", [(), (3,), (2, 2)])
 @pytest.mark.parametrize("points", [(), (4,), (2, 2)])
+@pytest.mark.slow
 def test_a_batch_equals_a_loop_of_single_roll_outs(randn, form, batch, points):
     policy, x0 = make_policy(2, batch), randn(*points, 2)
     plant = ImpedanceControlled(PointMass(force=lambda t, x, v: x.flip(-1) - 0.1 * t * v), form=form)
@@ -163,6 +164,7 @@ def track(plant, x0, target, n_steps, dt):
 @pytest.mark.parametrize("stiffness", [0.5, 10.0, 400.0])
 @pytest.mark.parametrize("mass", [0.2, 1.0, 5.0])
 @pytest.mark.parametrize("angle", [0.01, 0.3, 10.0])
+@pytest.mark.slow
 def test_a_step_response_does_not_overshoot(stiffness, mass, angle):
     """Critical damping; the implicit form keeps it for any time step, `angle` of the natural frequency."""
     plant = ImpedanceControlled(PointMass(mass, 0.0), stiffness)

@@ -333,6 +333,7 @@ def test_a_mixture_does_not_depend_on_the_units_of_length_and_time(name):
     assert_close(1e3 * other, field, rtol=1e-4, atol=1e-4 * float(field.detach().abs().max()))
 
 
+@pytest.mark.slow
 def test_a_constant_axis_or_a_large_stiffness_swallows_no_motion(randn):
     """Floors are shares of the positions, of the velocities and of the stiffness, each for itself."""
     t = torch.linspace(0, 1, 80, dtype=torch.float64)
@@ -344,6 +345,7 @@ def test_a_constant_axis_or_a_large_stiffness_swallows_no_motion(randn):
     assert float((v - demos[0].v).norm() / demos[0].v.norm()) < 0.1
 
 
+@pytest.mark.slow
 def test_suspicious_demonstrations_are_named_by_the_fit():
     t = torch.linspace(0, 1, 50, dtype=torch.float64)
     demos = Demonstrations([torch.stack([t, t**2], -1)], [torch.stack([-1 + 0 * t, -2 * t], -1)], dt=1 / 49)

@@ -70,6 +70,7 @@ def test_the_damper_generates_no_energy_in_ten_thousand_pushes(randn, dt):
     assert float((risen - given).max()) <= 1e-9
 
 
+@pytest.mark.slow
 def test_with_a_tank_kinetic_energy_and_tank_rise_by_no_more_than_the_force_puts_in(certified, randn):
     pushes = 4 * randn(500, 200, 2)
     plant = PassiveControlled(
@@ -83,6 +84,7 @@ def test_with_a_tank_kinetic_energy_and_tank_rise_by_no_more_than_the_force_puts
     assert float(path.plant.tank.min()) >= 0 and float(path.plant.tank.max()) <= 2.0
 
 
+@pytest.mark.slow
 def test_an_empty_tank_gives_no_drive_and_a_full_one_changes_nothing(certified):
     x0, point = torch.ones(2).double(), PointMass(1.0, 0.0)
     with torch.no_grad():

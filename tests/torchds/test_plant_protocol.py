@@ -49,6 +49,7 @@ def test_the_drive_of_the_page_is_its_own_loop_in_numpy(page, random_policy, ran
             np.testing.assert_allclose(path.v[(*i, t)], v, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_flow_through_a_plant_that_stays_in_torch(page, random_policy, randn):
     plant, policy = page["Drive"](delay=2, lag=0.5), random_policy()
     torch.autograd.gradcheck(lambda x0: rollout(policy, x0, 6, 0.1, plant=plant).x, (randn(2, 2).requires_grad_(),))
@@ -102,6 +103,7 @@ def test_a_simulator_outside_torch_gets_the_whole_batch_at_once(random_policy, r
     assert_close(path.plant.effort[2, 1, 3], alone.plant.effort, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_policy_search_learns_on_a_simulator_outside_torch(random_policy):
     """Three runs, with a cost of the plant's own and the control cost of the policy's."""
     policy, x0 = random_policy(batch=(3,)), torch.tensor([-1.0, 0.5], dtype=torch.float64)

@@ -61,6 +61,7 @@ def test_a_constant_force_may_be_one_vector_for_all(random_policy, randn):
 
 
 @pytest.mark.parametrize(("mass", "damping"), [(1.0, 1.0), (2.5, 0.4)])
+@pytest.mark.slow
 def test_a_free_mass_under_a_constant_force_approaches_its_terminal_velocity(random_policy, mass, damping):
     """Without stiffness: v' = (f − d v)/m, hence v = f/d (1 − exp(−d t/m)), up to the error of Euler's method."""
     plant = ImpedanceControlled(PointMass(mass, damping, lambda t, x, v: tensor(0.0, 3.0)), 0.0)

@@ -166,6 +166,7 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
         importlib.import_module("torchds.plotting")
 
 
+@pytest.mark.slow
 def test_a_picture_is_whole_or_the_old_one_stays(axes, tmp_path, monkeypatch):
     path = tmp_path / "a.png"
     path.write_text("old")

@@ -87,6 +87,7 @@ def test_a_batch_equals_a_loop_of_single_roll_outs(random_policy, randn, batch, 
             assert_close(together, (alone.x, alone.v, alone.features), **CLOSE)
 
 
+@pytest.mark.slow
 def test_twenty_policies_from_ten_starts_equal_two_hundred_single_roll_outs(random_policy, randn):
     policy, x0 = random_policy(K=4, batch=(20,)), randn(10, 2)
     together = rollout(policy, x0, n_steps=10, dt=0.1).x
@@ -283,6 +284,7 @@ def test_the_sensitivity_of_a_shifted_roll_out_is_that_of_the_motion_elsewhere(r
     assert_close(there, here, **CLOSE)
 
 
+@pytest.mark.slow
 def test_a_motion_that_ends_at_its_goal_ends_at_the_shifted_one():
     policy = linear([[-1.0, 2.0], [-2.0, -1.0]], [0.0, 0.0])
     jump = rollout(policy, tensor(1.0, 1.0), 400, 0.05, shift=lambda t: tensor(0.0, 0.0) if t < 5 else tensor(3.0, 1.0))

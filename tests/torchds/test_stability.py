@@ -116,6 +116,7 @@ def test_slopes_outside_have_no_factors(randn):
 
 @settings(max_examples=50, deadline=None)
 @given(cases())
+@pytest.mark.slow
 def test_the_largest_eigenvalue_is_that_of_the_generalised_problem(case):
     normals, K, D = case
     P, A = metric(normals, D), normals(K, D, D)
@@ -251,6 +252,7 @@ def test_constraining_projects_and_ties_and_keeps_what_is_stable_already(constra
 
 @pytest.mark.parametrize("kind", ["adam", "lbfgs"])
 @pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.slow
 def test_gradients_train_a_policy_that_is_stable_at_every_evaluation(constrained, kind, weighted):
     policy, goal, P = constrained(batch=(3,), weighted=weighted)
     optim = (

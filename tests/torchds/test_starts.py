@@ -36,6 +36,7 @@ def test_mixtures_are_those_of_the_data(angle):
     assert_close(total, spread, rtol=0.01, atol=0.02 * float(spread.max()))
 
 
+@pytest.mark.slow
 def test_bic_chooses_more_components_for_the_longer_shape():
     n = (fit_mixtures([motion("Line"), motion("Worm")], "bic", max_components=8).priors > 0).sum(-1)
     assert 1 < n[0] < n[1] <= 8

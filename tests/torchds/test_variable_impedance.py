@@ -116,6 +116,7 @@ def test_the_explicit_form_takes_energy_up_to_a_time_step_of_four_fifths_of_the_
 
 @FORMS
 @pytest.mark.parametrize("batch", [(), (3,), (2, 2)])
+@pytest.mark.slow
 def test_each_roll_out_of_a_batch_has_a_limited_rate_of_its_own(randn, form, batch):
     policy, x0 = make_policy(batch=batch), randn(4, 2)
     plant = ImpedanceControlled(PointMass(), form=form, low=3.0, high=20.0, max_rate=8.0)

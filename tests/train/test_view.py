@@ -53,6 +53,7 @@ def test_without_a_screen_it_says_where_the_film_is(folder, monkeypatch):
         View("lwr_digging", folder).main()
 
 
+@pytest.mark.slow
 def test_the_snapshots_are_played_in_order_until_the_window_is_closed(monkeypatch):
     mujoco = pytest.importorskip("mujoco")
     import mujoco.viewer  # noqa: F811

@@ -17,6 +17,7 @@ from tasks.digging.gravel import COARSE
 from torchds.files import load
 
 
+@pytest.mark.slow
 def test_grains_are_numbered_by_their_place():
     x = gravel.bed(COARSE)[:, 0]
     assert np.corrcoef(x, np.arange(len(x)))[0, 1] > 0.99

@@ -48,6 +48,7 @@ def by_hand(q):
     return p, R, J
 
 
+@pytest.mark.slow
 def test_kinematics_and_jacobian_agree_with_mujoco_and_with_a_third_way(arm, poses):
     model, data = arm
     J, pose = lwr.chain().jacobian(poses, ret_eef_pose=True)

@@ -53,6 +53,7 @@ def test_a_bed_stays_at_rest_after_the_perturbation(worlds, start):
     assert float(moved.norm(dim=-1).mean()) < 0.005
 
 
+@pytest.mark.slow
 def test_the_wrist_weighs_the_empty_shovel(worlds, start):
     worlds.reset(start, [0, 1])
     held(worlds, start, 250)
@@ -90,6 +91,7 @@ def test_beds_differ_by_their_seed_alone(worlds, start):
     assert 1e-4 < float(difference.std()) < 2e-4
 
 
+@pytest.mark.slow
 def test_a_roll_out_that_explodes_is_marked_and_leaves_the_others_alone(worlds, start):
     reference, s = scoop(0.2), torch.tensor(300.0)
     whole = dig(worlds, reference, s, [0, 1])

@@ -56,6 +56,7 @@ def make(convention, **options):
 
 
 @pytest.mark.parametrize(("convention", "expected"), [("paper", radial), ("released", normal)])
+@pytest.mark.slow
 def test_the_force_is_ten_times_the_distance_away_from_the_path(convention, expected):
     x = torch.tensor([-6.0, 1.5]).double() + 4 * torch.randn(
         3, 40, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64

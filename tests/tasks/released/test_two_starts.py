@@ -64,6 +64,7 @@ def released_costs(policy, r):
     return {"via_points": np.mean(vias), "goal": np.mean(goals), "acceleration": 2e-4 * accelerations[1] / 2}
 
 
+@pytest.mark.slow
 def test_cost_terms_are_those_of_the_released_program():
     task = tasks.make("two_starts", convention="released", mixture=synthetic_mixture())
     policy = vary(task.policy(), 3, 0.03)

@@ -90,6 +90,7 @@ def test_a_policy_in_float32_and_components_without_a_prior_are_taken(random_pol
 
 
 @pytest.mark.parametrize("compiled", FORMS)
+@pytest.mark.slow
 def test_bounds_hold_and_what_was_cut_is_reported(random_policy, randn, compiled):
     policy, dt = random_policy(K=4, D=3, O=3, Q=2), 0.01
     controller = Controller(
@@ -301,6 +302,7 @@ print(json.dumps([x, stiffness, list(controller.goal), said, "torch" in sys.modu
 """
 
 
+@pytest.mark.slow
 def test_the_computer_of_a_robot_needs_no_torch(random_policy, tmp_path):
     policy = random_policy(Q=1, moved=True)
     policy.save(tmp_path / "policy.pt", goal=[1.0, 2.0], dt=0.01)

@@ -51,6 +51,7 @@ def test_what_does_not_fit_is_eager_and_refused_where_fused_is_asked_for(random_
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # inside of torch, in forward mode
+@pytest.mark.slow
 def test_function_transforms_take_the_eager_loop(random_policy, randn):
     policy, x0, steps = random_policy(3), randn(2), {"n_steps": 3, "dt": 0.1}
 

@@ -48,6 +48,7 @@ def test_stop_conditions(random_policy, randn, stop):
 
 
 @torch.no_grad()
+@pytest.mark.slow
 def test_diverging_motions_are_data(random_policy, randn):
     policy, x0 = random_policy(3, batch=(20,)), randn(2)
     policy.unpack(40.0 * policy.pack().detach())

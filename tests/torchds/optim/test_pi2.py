@@ -154,6 +154,7 @@ class Reference:
 @pytest.mark.parametrize("weighting", ["gating", "time"])
 @pytest.mark.parametrize("projected", [True, False])
 @pytest.mark.parametrize(("control_weight", "batched"), [(0.05, True), (0.05, False), (0.0, True)])
+@pytest.mark.slow
 def test_three_updates_equal_the_dense_formulas(Q, weighting, projected, control_weight, batched):
     policy = make_policy(Q=Q)
     optim = make_optimizer(

@@ -117,6 +117,7 @@ def test_mat_refuses(tmp_path, contents, words):
         load_mat(path)
 
 
+@pytest.mark.slow
 def test_mat_of_version_73_says_how_to_save_it(tmp_path):
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     (tmp_path / "a.mat").write_bytes(header + bytes(400))

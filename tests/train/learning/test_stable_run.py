@@ -58,6 +58,7 @@ def test_a_learned_metric_reaches_the_exploration():
     assert learner.searcher.optim.explorations[0].P is learner.task.P
 
 
+@pytest.mark.slow
 def test_stable_exploration_of_a_policy_that_is_not_stable_is_refused():
     with pytest.raises(InvalidArgumentError, match="does not rest at the goal"):
         Learner(options_for("via_point", exploration="stable"))

@@ -71,6 +71,7 @@ def test_all_improve(task, name):
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_equal_seeds_give_equal_results_and_a_resumed_run_ends_bit_for_bit_as_an_undisturbed_one(task, name, tmp_path):
     options = {"updates": 12 if name == "finite_differences" else 4, "cost_noise": 0.01}
     whole = learner(task, name, **options).learn()
@@ -242,6 +243,7 @@ def test_costs_that_are_not_finite_are_failures_and_not_the_best(name, value, ra
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_a_step_that_raises_is_as_if_it_had_not_been(name, random_policy):
     pair, first = [], random_policy(batch=(2,))
     for fail in (False, True):

@@ -41,6 +41,7 @@ def test_libraries_find_the_minimum_of_each_run(name, updates, atol):
 
 
 @pytest.mark.skipif("cobyqa" not in scipy.optimize._minimize.MINIMIZE_METHODS, reason="scipy has COBYQA since 1.14")
+@pytest.mark.slow
 def test_cobyqa_tries_what_scipy_tries():
     tried, expected = [], []
     minimum("cobyqa", lambda z: tried.append(z[0, 0].detach().numpy()) or bowl(z), 1, 40)

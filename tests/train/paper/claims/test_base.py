@@ -32,6 +32,7 @@ def test_lower_has_the_p_of_all_permutations(randn):
     assert check.n == 5
 
 
+@pytest.mark.slow
 def test_lower_needs_a_test_and_an_effect(randn):
     small, large = randn(2000).numpy(), randn(2000).numpy()
     trifling = base.lower("x", small, large + 0.2)

@@ -8,6 +8,7 @@ from train.paper.measured.base import Setting
 
 
 @pytest.mark.parametrize(("factor", "fails"), [(1.01, "stable with"), (0.98, "unstable with")])
+@pytest.mark.slow
 def test_a_shrinkage_that_is_off_is_found_out(factor, fails, monkeypatch):
     setting = Setting(3, 0, None)
     assert all(check.holds for check in stable.shrinkage(setting))

@@ -12,6 +12,7 @@ from torchds.plants import PointMass
 from train.paper.measured import impedance
 
 
+@pytest.mark.slow
 def test_the_overshoot_is_that_of_the_printed_equations():
     s, m, dt = 30.0, 1.0, 0.1
     D = 2 * np.sqrt(s * m)

@@ -38,6 +38,7 @@ def test_the_relative_noise_does_not_depend_on_the_desired_speed():
     torch.testing.assert_close(slow, fast, rtol=1e-9, atol=0)
 
 
+@pytest.mark.slow
 def test_motions_without_noise_are_the_policys_own_and_a_seed_says_which_they_are():
     task = tasks.make("via_point", shape="N")
     policy = task.policy()
