@@ -357,6 +357,7 @@ class Thing:
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.slow
 def test_what_is_no_array_of_numbers_is_refused(name):
     call, tensors = CASES[name]
     for argument, value in tensors.items():

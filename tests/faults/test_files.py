@@ -109,6 +109,7 @@ KINDS = {
 
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("damage", ["flip", "cut", "foreign", "exchange"])
+@pytest.mark.slow
 def test_damage_is_named_or_changes_nothing(name, damage, tmp_path, capsys):
     write, read = KINDS[name]
     write(tmp_path)

@@ -358,6 +358,7 @@ def test_coordinates_near_the_largest_number_are_predicted():
     assert found.isfinite().all()
 
 
+@pytest.mark.slow
 def test_a_step_does_not_look_at_autocast():
     results = []
     for enabled in (False, True):
@@ -452,6 +453,7 @@ def test_an_interruption_anywhere_leaves_all_or_nothing(name, call, exploration,
 
 
 @fuzz(usual=8, name=st.sampled_from(list(SEARCHES)), at=st.integers(1, 60))
+@pytest.mark.slow
 def test_an_interruption_of_the_restoring_itself_restores_too(name, at):
     policy, optim = prepared(name, "tell", "TrajectorySpace", "nominal")
     before = everything(optim)
@@ -688,6 +690,7 @@ def test_features_of_another_shape_are_refused(shape):
 @pytest.mark.parametrize("exploration", EXPLORATIONS)
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.slow
 def test_state_comes_back_bit_for_bit_in_its_own_dtype(name, exploration, dtype, asked, tmp_path):
     elite = "nominal" if name in ("PI2CMA", "SurrogatePIBB") else "best"
     policy, optim = make(name, make_policy(dtype), exploration, elite=elite)

@@ -158,6 +158,7 @@ def test_mutated_tables(tmp_path, text, options, suffix):
 
 
 @fuzz(usual=40, text=st.text(max_size=300))
+@pytest.mark.slow
 def test_any_text(tmp_path, text):
     (tmp_path / "a.csv").write_bytes(text.encode("utf-8", "surrogatepass"))
     is_read_or_refused(tmp_path / "a.csv", dt=0.1)

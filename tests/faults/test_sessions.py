@@ -55,6 +55,7 @@ def names(recorded, poses, stiffness):
 
 
 @fuzz(usual=25, seed=st.integers(0, 2**31), soft=st.floats(0, 0.08))
+@pytest.mark.slow
 def test_what_a_soft_arm_does_is_believed(seed, soft):
     poses, stiffness = asked()
     assert names(executed(poses, stiffness, seed, soft), poses, stiffness) == set()
@@ -175,6 +176,7 @@ def test_swapped_recordings_are_refused_and_taken_if_one_insists(folder):
 
 
 @pytest.mark.parametrize("cut", [1, 2, 5, 20, 100])
+@pytest.mark.slow
 def test_half_a_recording_is_refused(folder, cut):
     update = folder / "update-001"
     for k in (1, 2, 3):
@@ -186,12 +188,14 @@ def test_half_a_recording_is_refused(folder, cut):
     assert told(folder) == before
 
 
+@pytest.mark.slow
 def test_half_written_costs_are_refused(folder):
     (folder / "update-001" / "costs.csv").write_text("rollout,cost\n1,1.0\n2,3.0\n3,1")
     with pytest.raises(FileError, match=r"costs\.csv: ends within a line"):
         Session.open(folder).tell()
 
 
+@pytest.mark.slow
 def test_a_file_that_grows_is_not_read(folder, monkeypatch):
     path = folder / "update-001" / "costs.csv"
     path.write_text("rollout,cost\n1,1.0\n2,3.0\n3,1.0\n")
@@ -206,6 +210,7 @@ def test_a_file_that_grows_is_not_read(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("raw", [b"\xff\xfe\x00rollout", b"rollout,cost\n1,\xe9\n", b"\x00" * 50 + b"\n"])
+@pytest.mark.slow
 def test_costs_in_an_unreadable_encoding_are_refused(folder, raw):
     (folder / "update-001" / "costs.csv").write_bytes(raw)
     with pytest.raises(FileError, match=r"costs\.csv"):
@@ -232,6 +237,7 @@ def test_the_second_process_is_told_who_works_there(folder):
         Session.open(folder).tell()
 
 
+@pytest.mark.slow
 def test_references_that_were_changed_are_neither_replaced_nor_believed(folder):
     path = folder / "update-001" / "rollout-2.csv"
     path.write_text(path.read_text().replace("0.", "1.", 1))
@@ -243,6 +249,7 @@ def test_references_that_were_changed_are_neither_replaced_nor_believed(folder):
     assert path.read_text() == changed
 
 
+@pytest.mark.slow
 def test_references_of_another_session_are_refused(folder):
     path = folder / "update-001" / "asked.json"
     content = files.read_sealed(path)

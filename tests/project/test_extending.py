@@ -62,6 +62,7 @@ def test_there_is_an_example_of_each_kind_under_thirty_lines():
         assert len(block.splitlines()) < 30, title
 
 
+@pytest.mark.slow
 def test_the_policy_learns_with_a_control_cost(policy, randn):
     testing.check_policy(policy, randn(4, 2))
     before, after = learn(policy, pibb(policy, control_weight=1e-4))
@@ -75,6 +76,7 @@ def test_the_exploration_learns(page, policy):
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
 def test_the_optimizer_learns(page, policy):
     def make(params):
         return page["Winner"](params, torchds.exploration.Gaussian(0.3))
@@ -84,6 +86,7 @@ def test_the_optimizer_learns(page, policy):
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
 def test_the_plant_is_learned_with(page, policy, randn):
     plant = page["Lag"](0.5)
     testing.check_plant(plant, randn(3, 2))
@@ -91,6 +94,7 @@ def test_the_plant_is_learned_with(page, policy, randn):
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
 def test_the_stop_condition_ends_roll_outs(page, policy, randn):
     stop = page["Disc"](GOAL, 0.2)
     testing.check_stop(stop, randn(8, 2))
@@ -100,6 +104,7 @@ def test_the_stop_condition_ends_roll_outs(page, policy, randn):
     assert after < before
 
 
+@pytest.mark.slow
 def test_the_cost_term_is_learned(page, policy):
     with torch.no_grad():
         many = torchds.GMRPolicy.from_mixture(

@@ -25,6 +25,7 @@ def test_every_public_name_exists(name):
 
 
 @pytest.mark.parametrize("name", ["torchds", *modules(torchds)])
+@pytest.mark.slow
 def test_the_examples_in_docstrings_run(name):
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 

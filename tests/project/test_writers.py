@@ -72,6 +72,7 @@ def reads(call, owner):
     return all(isinstance(mode, ast.Constant) and not set("wax+") & set(str(mode.value)) for mode in modes)
 
 
+@pytest.mark.slow
 def test_no_module_writes_files_by_itself():
     found = {path.relative_to(ROOT).as_posix(): writes(path.read_text()) for path in MODULES}
     strange = [
@@ -81,6 +82,7 @@ def test_no_module_writes_files_by_itself():
     assert {module: {name for name, _ in found[module]} for module in ALLOWED} == ALLOWED
 
 
+@pytest.mark.slow
 def test_what_is_called_a_buffer_is_memory():
     for path in MODULES:
         for node in ast.walk(ast.parse(path.read_text())):

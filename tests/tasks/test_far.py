@@ -37,6 +37,7 @@ def test_a_trial_costs_the_same_there(name, convention, mixture, monkeypatch):
         assert_close(far[0].to("cpu").detach(), cost.detach(), rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_what_a_task_makes_later_follows_it():
     task = tasks.make("via_point", demonstrations=load_lasa("NShape", 2, scale=0.25).every(20)).to(dtype=torch.float32)
     assert task.demonstrations[0].x.dtype == task.mixture.means.dtype == task.policy().A.dtype == torch.float32

@@ -118,6 +118,7 @@ def test_zero_actions_are_the_demonstrated_policy(name, env_of):
     assert -rewards.sum() == pytest.approx(cost, rel=1e-11)
 
 
+@pytest.mark.slow
 def test_costs_fall_due_when_they_arise(env_of):
     """Stiffness costs at every step, via-points and goal nothing before the last."""
     trials = env_of("DivergentField").trials

@@ -238,6 +238,7 @@ def test_the_likelihood_of_a_fit_is_the_score_of_scikit_learn(clusters):
     assert fit.means.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_bic_counts_well_separated_clusters(clusters):
     assert GaussianMixture.fit(clusters, "bic", max_components=5, tol=1e-3).n_components == 3
 

@@ -389,6 +389,7 @@ def test_the_summary_names_the_sizes(random_policy):
 # ---------------------------------------------------------------------- from demonstrations
 
 
+@pytest.mark.slow
 def test_demonstrations_are_fitted_and_conditioned(randn):
     x, v, s = [randn(40, 2)], [randn(40, 2)], [randn(40, 1)]
     demos = Demonstrations(x, dt=0.1, v=v, stiffness=s)
@@ -490,6 +491,7 @@ def test_theta_of_the_wrong_size_is_refused(random_policy, shape):
         policy.unpack(torch.zeros(shape))
 
 
+@pytest.mark.slow
 def test_policies_over_different_gatings_equal_single_ones(randn):
     B, K, D = 4, 3, 2
     L = 0.3 * randn(B, K, 2 * D, 2 * D) + torch.eye(2 * D, dtype=torch.float64)

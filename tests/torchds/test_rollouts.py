@@ -70,6 +70,7 @@ def test_stiffness_does_not_move_the_state(random_mixture, randn):
 @pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
 @pytest.mark.parametrize("points", [(), (5,), (5, 2)])
 @pytest.mark.parametrize("starts", ["shared", "per_policy"])
+@pytest.mark.slow
 def test_a_batch_equals_a_loop_of_single_roll_outs(random_policy, randn, batch, points, starts):
     policy = random_policy(O=3, Q=1, batch=batch, moved=True)
     x0 = randn(*(batch if starts == "per_policy" else ()), *points, 2)
@@ -106,6 +107,7 @@ def test_gating_is_that_of_the_visited_states(random_policy, randn, batch):
 # ---------------------------------------------------------------------- derivatives, dtype
 
 
+@pytest.mark.slow
 def test_a_roll_out_differentiates(random_policy, randn):
     class Path(nn.Module):
         def __init__(self, policy):

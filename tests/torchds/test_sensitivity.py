@@ -167,6 +167,7 @@ def test_a_start_that_is_not_a_number_rests_with_a_derivative_of_zero(random_pol
     assert J[1].any()
 
 
+@pytest.mark.slow
 def test_a_motion_that_diverges_has_a_jacobian_that_is_not_finite_and_its_neighbours_do(random_policy):
     policy = random_policy(batch=(2,))
     with torch.no_grad():

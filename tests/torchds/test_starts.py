@@ -21,6 +21,7 @@ def angle():
     return motion("Angle")
 
 
+@pytest.mark.slow
 def test_mixtures_are_those_of_the_data(angle):
     """In units of the data: the marginal densities of the padded batch are those of one fit alone."""
     both = fit_mixtures([angle, motion("Sine", 2)], [2, 4])

@@ -78,6 +78,7 @@ def test_energy_grows_by_no_more_than_the_changes_of_stiffness_inject():
     assert (energy.diff(dim=-1).clamp_min(0).sum(-1) > 0.5 * injected).any()  # which is not idle
 
 
+@pytest.mark.slow
 def test_a_limited_rate_lets_less_energy_in():
     """At most ½ rate dt Σ |e|²."""
     free, _ = swinging()

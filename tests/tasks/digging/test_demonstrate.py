@@ -11,6 +11,7 @@ pytest.importorskip("pytorch_kinematics")
 from tasks.digging.demonstrate import FOLDER, SOIL, STEP, N, motions
 
 
+@pytest.mark.slow
 def test_the_recordings_follow_the_hand():
     """A hand of 700 N/m is firm: the tool is within a few centimetres of it all the way, soil or not."""
     recorded, hands = load_csv(FOLDER), motions(SOIL.time_step)

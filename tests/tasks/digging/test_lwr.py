@@ -69,6 +69,7 @@ def test_kinematics_and_jacobian_agree_with_mujoco_and_with_a_third_way(arm, pos
             np.testing.assert_allclose(other, jacobian, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_gravity_and_mass_matrix_agree_with_pin(arm, poses):
     pin = pytest.importorskip("pinocchio")
     model, data = arm

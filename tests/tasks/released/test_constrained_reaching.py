@@ -56,6 +56,7 @@ def released_box(A):
         ([[-0.3, 0.0], [-0.2, -0.2]], True),  # into the left wall
     ],
 )
+@pytest.mark.slow
 def test_cost_terms_and_collisions_are_those_of_the_released_program(A, hits):
     task = tasks.make("constrained_reaching", convention="released", mixture=linear_mixture(A))
     with torch.no_grad():
@@ -67,6 +68,7 @@ def test_cost_terms_and_collisions_are_those_of_the_released_program(A, hits):
         assert float(terms[name]) == pytest.approx(value, rel=1e-9, abs=1e-9), name
 
 
+@pytest.mark.slow
 def test_the_released_box_has_a_hole_through_which_the_cost_falls_below_zero():
     task = tasks.make("constrained_reaching", convention="released", mixture=linear_mixture([[-0.4, 0.0], [0.0, -0.4]]))
     with torch.no_grad():

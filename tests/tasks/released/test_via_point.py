@@ -48,6 +48,7 @@ def released_costs(policy, r, shape):
 
 
 @pytest.mark.parametrize("shape", ["N", "P"])
+@pytest.mark.slow
 def test_cost_terms_are_those_of_the_released_program(shape):
     task = tasks.make("via_point", shape=shape, convention="released", mixture=synthetic_mixture())
     policy = task.policy().expand(3)

@@ -46,6 +46,7 @@ def run(controller, n, **step):
 
 @pytest.mark.parametrize("compiled", FORMS)
 @pytest.mark.parametrize("size", SIZES)
+@pytest.mark.slow
 def test_it_is_the_rollout(random_policy, randn, compiled, size):
     policy = random_policy(**size, moved=True)
     x0 = randn(policy.input_dim)
@@ -180,6 +181,7 @@ def test_a_new_target_while_it_runs_is_a_shifted_field(random_policy, randn):
     np.testing.assert_allclose(np.concatenate([first, second]), path, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_new_target_is_reached_from_the_goal_of_the_policy(spring):
     controller = Controller(spring, 0.01)
     controller.reset([1.0, 2.0])
@@ -219,6 +221,7 @@ def test_ticks_that_come_late_say_so(spring):
 # ---------------------------------------------------------------------- what a loop needs
 
 
+@pytest.mark.slow
 def test_nothing_is_allocated_between_two_ticks(spring):
     controller = Controller(spring, 1e-3, history=50, max_speed=1.0, max_acceleration=3.0, workspace=(-5, 5))
     controller.reset([1.0, 2.0])

@@ -16,6 +16,7 @@ def ticked(f):
     return tick
 
 
+@pytest.mark.slow
 def test_it_is_the_equation_and_the_damper_takes_energy_in_ten_thousand_states():
     rng, law, tick = np.random.default_rng(0), PassiveLaw(0.001, 30.0, 4.0), ticked(np.ones(3))
     f, v, forces = rng.normal(size=(10_000, 3)), rng.normal(size=(10_000, 3)), np.empty((10_000, 3))
@@ -29,6 +30,7 @@ def test_it_is_the_equation_and_the_damper_takes_energy_in_ten_thousand_states()
     np.testing.assert_allclose(law(ticked(np.zeros(3)), [1.0, 2.0, 3.0]), [-4.0, -8.0, -12.0])
 
 
+@pytest.mark.slow
 def test_in_a_loop_it_moves_as_the_plant_does(random_policy):
     policy, dt = random_policy(), 1e-3
     plant = torchds.passive.PassiveControlled(torchds.plants.PointMass(1.0, 0.0), 30.0, 4.0)

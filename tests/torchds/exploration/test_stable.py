@@ -322,6 +322,7 @@ def along(policy, goal, P=None, spread=0.3, shrink="direction", **options):
 
 @pytest.mark.parametrize("metric", [False, True])
 @pytest.mark.parametrize("shrink", ["all", "direction"])
+@pytest.mark.slow
 def test_along_the_motion_it_stays_stable_too(metric, shrink):
     policy, goal, P = make_case(11, 2, 3, (), metric)
     exploration = along(policy.expand(3), goal, P, spread=2.0, shrink=shrink)
@@ -358,6 +359,7 @@ def test_the_covariance_of_tied_parameters_is_that_of_a_jacobian_with_respect_to
     assert_close(noise["b"], -(noise["A"] @ goal[:, None]).squeeze(-1), rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_run_along_the_motion_continues_from_a_checkpoint_bit_for_bit(tmp_path):
     def learner():
         policy, goal, _ = make_case(13, 2, 3)

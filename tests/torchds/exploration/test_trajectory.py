@@ -189,6 +189,7 @@ def test_the_noise_is_the_factor_times_the_normals():
 
 
 @pytest.mark.parametrize("x0", [START, STARTS], ids=["one start", "three"])
+@pytest.mark.slow
 def test_twenty_runs_in_a_batch_equal_single_ones(x0):
     runs = make_batch(20)
     together = make(runs, x0)
@@ -357,6 +358,7 @@ def test_refresh_now_evaluates_at_the_present_parameters():
 @pytest.mark.parametrize("refresh", [1, 3])
 @pytest.mark.parametrize("asked", [False, True])
 @pytest.mark.parametrize("done", [0, 2, 3])
+@pytest.mark.slow
 def test_a_run_continues_from_a_checkpoint_bit_for_bit(tmp_path, refresh, asked, done):
     whole = make_learner(refresh)
     learn(*whole, done)

@@ -45,6 +45,7 @@ def test_kinds_of_stiffness(random_policy, randn, form, options):
     both(policy, 0.5 * randn(2, 2), plant=ImpedanceControlled(PointMass(), form=form, **options))
 
 
+@pytest.mark.slow
 def test_one_stiffness_row_for_all_axes_and_none(random_policy, randn):
     both(random_policy(3, 2, 2, 1, batch=(5,)), 0.5 * randn(2), plant=ImpedanceControlled(PointMass(), low=0.1))
     both(random_policy(3, 2, 2, 0), 0.5 * randn(2), plant=ImpedanceControlled(PointMass(), stiffness=3.0))

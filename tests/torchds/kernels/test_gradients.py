@@ -22,6 +22,7 @@ def gradients(policy, x0, weights, backend, **options):
 
 @pytest.mark.parametrize(("K", "D", "O", "Q"), [(1, 1, 1, 0), (4, 2, 2, 0), (3, 2, 3, 1), (3, 3, 3, 3)])
 @pytest.mark.parametrize(("batch", "points"), [((), ()), ((4,), ()), ((), (3,)), ((3, 2), (2, 2))])
+@pytest.mark.slow
 def test_the_adjoint_is_what_autograd_gives(random_policy, randn, K, D, O, Q, batch, points):
     policy = random_policy(K, D, O, Q, batch=batch)
     for shift, stop, per_policy in ((None, None, False), (randn(D), Bounds(-1.0, 1.5), True)):

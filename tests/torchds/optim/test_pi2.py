@@ -230,6 +230,7 @@ def test_a_component_that_no_rollout_visits_stays_as_it_is():
 
 
 @pytest.mark.parametrize("weighting", ["gating", "time"])
+@pytest.mark.slow
 def test_independent_runs_equal_runs_on_their_own(weighting):
     R = 4
     runs = make_policy().expand(R)
@@ -252,6 +253,7 @@ def test_independent_runs_equal_runs_on_their_own(weighting):
 
 
 @pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.slow
 def test_one_call_each_and_ask_with_tell_equal_one_call_for_all(batch):
     results = []
     for way in ("batched", "sequential", "ask"):
@@ -288,6 +290,7 @@ def test_groups_have_their_own_scale_and_weighting():
     assert not torch.allclose(split.b, whole["gating"].b)
 
 
+@pytest.mark.slow
 def test_learning_makes_the_motion_cheaper():
     policy = make_policy()
     optim = make_optimizer(policy, control_weight=1e-4)
@@ -519,6 +522,7 @@ def test_it_is_an_optimizer_whose_options_live_in_its_groups():
 
 
 @pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.slow
 def test_a_run_continues_from_a_checkpoint_bit_for_bit(tmp_path, asked):
     whole = make_learner()
     run(*whole, 3)

@@ -78,6 +78,7 @@ def test_the_covariance_of_a_run_that_failed_stays():
     assert_close(covariance(optim)[1], before[1], rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_steep_directions_get_less_noise():
     """Median of 20 runs: after learning, noise is ordered as the costs are."""
     optim, closure = make((RUNS,), n_rollouts=12, rate=0.2)
@@ -89,6 +90,7 @@ def test_steep_directions_get_less_noise():
     assert middle > 3 * steep
 
 
+@pytest.mark.slow
 def test_without_decay_it_ends_below_pibb():
     """Median of 20 runs."""
     final = []

@@ -129,6 +129,7 @@ def flat(normals):
 
 @pytest.mark.parametrize("batched", [True, False])
 @pytest.mark.parametrize("reference", ["demonstrated", "zero"])
+@pytest.mark.slow
 def test_three_updates_equal_lines_11_to_24_of_algorithm_1(reference, batched):
     policy = make_policy()
     optim = make_optimizer(policy, control_reference=reference, batched=batched)
@@ -165,6 +166,7 @@ def test_two_rollouts_by_hand():
 
 @pytest.mark.parametrize("Q", [0, 2])
 @pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.slow
 def test_one_call_for_all_rollouts_equals_one_call_each_and_ask_with_tell(Q, batch):
     def evaluate(policy):
         path = torchds.rollout(policy, START, T, DT)
@@ -242,6 +244,7 @@ def test_a_simulator_may_return_the_same_buffer_each_time():
 # ------------------------------------------------------------------ many runs, many starts
 
 
+@pytest.mark.slow
 def test_independent_runs_equal_runs_on_their_own():
     R = 4
     runs = make_policy().expand(R)
@@ -444,6 +447,7 @@ def test_one_rollout_moves_by_its_noise():
         torch.testing.assert_close(p.data, trial[0], rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_learning_makes_the_motion_cheaper():
     policy = make_policy()
     optim = make_optimizer(policy, control_weight=1e-4)

@@ -117,6 +117,7 @@ def test_what_is_tried_is_cheaper_than_chance():
     assert means[0] < 0.9 * means[1]
 
 
+@pytest.mark.slow
 def test_it_needs_fewer_roll_outs_than_pibb():
     """Median of 20 runs, after ten updates."""
     final = []

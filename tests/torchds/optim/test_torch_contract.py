@@ -352,6 +352,7 @@ def make_regression(dtype=torch.float32):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.slow
 def test_any_module_learns_with_one_call_per_rollout(dtype):
     linear, x, y = make_regression(dtype)
     optim = PIBB(linear.parameters(), Gaussian(0.2), n_rollouts=10, batched=False)

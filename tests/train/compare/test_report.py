@@ -87,6 +87,7 @@ def test_an_optimizer_keeps_its_colour_in_all_panels_and_others_get_one_each():
     assert len(set(found.values())) == 3
 
 
+@pytest.mark.slow
 def test_curves_have_a_panel_for_each_problem_and_kind():
     rows = [outcome("pibb", 2.0), outcome("pibb, trajectory", 1.0), outcome("pibb", 3.0, problem="q")]
     figure = curves([*rows, Outcome("q", "cma", refused="gone")])

@@ -14,6 +14,7 @@ def test_there_are_26_single_motions_and_each_has_its_published_error():
     assert sum(PUBLISHED_SEDS.values()) / 26 == pytest.approx(PUBLISHED["SEDS"][0], abs=0.01)
 
 
+@pytest.mark.slow
 def test_repetitions_draw_splits_from_their_seeds():
     demos = [draw(("Worm",), "published", seed).test[0][0].x for seed in (0, 1)]
     assert torch.equal(*demos)

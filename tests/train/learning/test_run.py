@@ -38,6 +38,7 @@ def test_a_run_leaves_all_that_it_promises(finished):
     assert not list(finished.glob("*.part"))
 
 
+@pytest.mark.slow
 def test_tensorboard_has_scalars_figures_and_hparams(finished):
     events = EventAccumulator(str(finished), size_guidance={"images": 0, "scalars": 0}).Reload()
     scalars = set(events.Tags()["scalars"])
@@ -56,6 +57,7 @@ def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_pat
     assert costs(run(options))[1:] != costs(finished)[1:]
 
 
+@pytest.mark.slow
 def test_runs_of_one_batch_differ(finished):
     assert len(set(costs(finished)[-1])) == 2
 

@@ -198,6 +198,7 @@ def quadratic(policy):
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_frozen_parameters_stay_and_the_others_learn(name, random_policy):
     policy = random_policy(batch=(2,))
     policy.A.requires_grad_(False)
@@ -223,6 +224,7 @@ def test_all_frozen_is_refused(random_policy):
 
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.slow
 def test_costs_that_are_not_finite_are_failures_and_not_the_best(name, value, random_policy):
     policy = random_policy(batch=(2,))
     search, calls = search_of(name, policy), []

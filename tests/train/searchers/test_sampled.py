@@ -48,6 +48,7 @@ def test_a_step_takes_the_decay_one_update_further(task):
     assert widths == pytest.approx([3.0, 3.0 / 2**0.5, 3.0 / 3**0.5])
 
 
+@pytest.mark.slow
 def test_the_first_numbers_to_log_are_those_of_the_noise_and_then_of_the_trials(task):
     mine = learner(task)
     assert not {"weights/entropy", "exploration/mean_cost"} & set(mine.searcher.scalars())
