@@ -265,6 +265,8 @@ def _fused(
 
 def _checked_shift(shift: Array, x: Tensor) -> Tensor:
     shift = like("shift", shift, x)
+    if torch.compiler.is_compiling():  # sizes may be symbols; torch itself says where they do not broadcast
+        return shift
     try:
         fits = shift.shape[-1:] == x.shape[-1:] and broadcast_shape(shift.shape, x.shape) == x.shape
     except RuntimeError:

@@ -32,6 +32,9 @@ def test_a_scanned_rollout_is_the_eager_one_with_all_that_belongs_to_it(random_p
     plant = ImpedanceControlled(PointMass(force=ConstantForce(torch.tensor([0.0, 1.0]))), low=0.1)
     given = {"stop": Bounds(-0.6, 0.6), "plant": plant, "shift": torch.tensor([0.1, 0.0])}
     with torch.no_grad():
+        rollout(
+            policy, x0[:3], STEPS, DT, **given, backend="scan"
+        )  # from the second number of starts on, sizes are symbols
         eager, scanned = (rollout(policy, x0, STEPS, DT, **given, backend=backend) for backend in ("eager", "scan"))
     assert 0 < scanned.stopped.sum() < scanned.stopped.numel()
     compare(scanned, eager)
