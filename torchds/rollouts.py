@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 from torchds import kernels, visits
-from torchds.arrays import Array, broadcast_shape, count, like, number, without_autocast
+from torchds.arrays import Array, count, like, number, without_autocast
 from torchds.errors import InvalidArgumentError
 from torchds.kernels import Backend, Setting, Unfit, own
 from torchds.moments import Moment as Moment
 from torchds.moments import Rollout as Rollout
 from torchds.moments import advance, begin, record, seen
 from torchds.plants import Plant
-from torchds.scanning import Taken, scanned
+from torchds.scanning import Step, Taken, scanned
 from torchds.stops import StopCondition
 
 Shift = Array | Callable[[float], Array]
@@ -108,6 +108,8 @@ def rollout(
     if O < D:
         raise InvalidArgumentError(f"a policy of {D} inputs has to have as many velocities or more, got {O}")
     lead = (*(() if starts == "per_policy" else batch), *x0.shape[:-1])
+    if shift is not None and not callable(shift):
+        shift = _checked_shift(shift, x0.expand(*lead, D))
     path, wanted = None, kernels.wanted(backend)
     if wanted == "scan" and (stop is not None or plant is not None) and _learns(rows, x0):
         if backend == "scan":
@@ -126,11 +128,11 @@ def rollout(
                 raise kernels.cannot(reason) from None
     if path is None:
         with without_autocast(x0):
-            x = x0.expand(*lead, D)
-            if wanted == "scan":
-                path = _scanned(policy, rows, x, n_steps, dt, stop, plant, shift, feedback)
-            else:
-                path = _eager(policy, rows, x, n_steps, dt, stop, plant, shift, feedback)
+            step, start = (
+                _step(policy, rows, dt, stop, plant, shift, feedback),
+                begin(x0.expand(*lead, D), O, stop, plant),
+            )
+            path = (scanned if wanted == "scan" else _eager)(step, start, n_steps, dt)
     visits.report(policy, path.features)
     return path
 
@@ -139,69 +141,42 @@ def _learns(*tensors: Tensor) -> bool:
     return torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
 
 
-def _eager(
-    policy: DynamicalSystem,
-    rows: Tensor,
-    x: Tensor,
-    n_steps: int,
-    dt: float,
-    stop: StopCondition | None,
-    plant: Plant | None,
-    shift: Shift | None,
-    feedback: bool = False,
-) -> Rollout:
-    """The definition of a roll-out, one tensor call a time step, from the starts `x` `(*batch, *points, D)`."""
-    now = begin(x, policy.output_dim, stop, plant)
+def _eager(step: Step, now: Moment, n_steps: int, dt: float) -> Rollout:
+    """The definition of a roll-out, one tensor call a time step, from the moment at which it begins."""
     moments, features, stiffness, inputs = [now], [], [], []
     for i in range(n_steps):
-        now, taken = _step(policy, rows, now, i * dt, dt, stop, plant, shift, feedback)
-        moments.append(now)
+        after, taken = step(now, i * dt)
+        moments.append(after)
         features.append(taken.features)
-        if shift is not None or feedback:
+        if taken.input is not now.x:
             inputs.append(taken.input)
         if taken.stiffness is not None:
             stiffness.append(taken.stiffness)
+        now = after
     return record(moments, features, stiffness, dt, inputs)
-
-
-def _scanned(
-    policy: DynamicalSystem,
-    rows: Tensor,
-    x: Tensor,
-    n_steps: int,
-    dt: float,
-    stop: StopCondition | None,
-    plant: Plant | None,
-    shift: Shift | None,
-    feedback: bool,
-) -> Rollout:
-    """The same steps as one node of a graph."""
-
-    def step(now: Moment, t: Any) -> tuple[Moment, Taken]:
-        return _step(policy, rows, now, t, dt, stop, plant, shift, feedback)
-
-    return scanned(step, begin(x, policy.output_dim, stop, plant), n_steps, dt)
 
 
 def _step(
     policy: DynamicalSystem,
     rows: Tensor,
-    now: Moment,
-    t: float,
     dt: float,
     stop: StopCondition | None,
     plant: Plant | None,
-    shift: Shift | None,
-    feedback: bool,
-) -> tuple[Moment, Taken]:
-    """One step of the policy, at time `t`, and of all that follows it."""
-    O, x = policy.output_dim, seen(now) if feedback else now.x
-    if shift is not None:
-        x = x - _checked_shift(shift(t) if callable(shift) else shift, x)
-    g = policy.features(x)
-    y = policy.outputs(g, rows)
-    v, s = y[..., :O], y[..., O:] if policy.stiffness_dim else None
-    return advance(now, v, s, t, dt, stop, plant, feedback), Taken(x, g, s)
+    shift: Tensor | Callable[[float], Array] | None,
+    feedback: bool = False,
+) -> Step:
+    """One step of the policy and of all that follows it, as a function of the moment and the time."""
+
+    def step(now: Moment, t: Any) -> tuple[Moment, Taken]:
+        x = seen(now) if feedback else now.x
+        if shift is not None:
+            x = x - (_checked_shift(shift(t), x) if callable(shift) else shift)
+        g = policy.features(x)
+        y = policy.outputs(g, rows)
+        v, s = y[..., : policy.output_dim], y[..., policy.output_dim :] if policy.stiffness_dim else None
+        return advance(now, v, s, t, dt, stop, plant, feedback), Taken(x, g, s)
+
+    return step
 
 
 def _fused(
@@ -213,7 +188,7 @@ def _fused(
     dt: float,
     stop: StopCondition | None,
     plant: Plant | None,
-    shift: Shift | None,
+    shift: Tensor | Callable[[float], Array] | None,
 ) -> Rollout:
     """The same in compiled code; raises `Unfit` with the reason where that cannot be."""
     D, Q = policy.input_dim, policy.stiffness_dim
@@ -223,10 +198,9 @@ def _fused(
         raise Unfit(f"{type(policy).__name__} makes its outputs in a way of its own")
     if callable(shift):
         raise Unfit("the shift is a function of time; a constant one would do")
-    shift = None if shift is None else _checked_shift(shift, x0.expand(*lead, D))
     gating = (field.center, field.factors, field.offset, field.log_scale)
     kernels.check(rows, x0, *gating, shift)
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gating, shift) if tensor is not None):
+    if _learns(*gating, *(() if shift is None else (shift,))):
         raise Unfit("gradients for the gating or the shift need the eager loop")
     if 0 in lead:
         raise Unfit("there is no roll-out")
@@ -240,7 +214,7 @@ def _fused(
         setting = setting._replace(begin=kernels.flat_state(fields, rows))
 
     def definition(rows: Tensor, x: Tensor) -> tuple[Tensor, ...]:
-        path = _eager(policy, rows, x, n_steps, dt, stop, None, shift)
+        path = _eager(_step(policy, rows, dt, stop, None, shift), begin(x, policy.output_dim, stop), n_steps, dt)
         return path.reference, path.v, path.features, *(() if path.stiffness is None else (path.stiffness,))
 
     track = kernels.roll_out(field, x0, setting, definition)
@@ -265,10 +239,9 @@ def _fused(
 
 def _checked_shift(shift: Array, x: Tensor) -> Tensor:
     shift = like("shift", shift, x)
-    if torch.compiler.is_compiling():  # sizes may be symbols; torch itself says where they do not broadcast
-        return shift
     try:
-        fits = shift.shape[-1:] == x.shape[-1:] and broadcast_shape(shift.shape, x.shape) == x.shape
+        shift.expand(x.shape)
+        fits = shift.shape[-1:] == x.shape[-1:]
     except RuntimeError:
         fits = False
     if not fits:
