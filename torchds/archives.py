@@ -25,6 +25,7 @@ SEAL = "torchds"
 FORMAT = 1  # of the index; a file of a later one is refused
 PLACE = "array"  # what stands for an array in the content, with its number
 INDEX = "without_torch.json"
+EMPTY = 22  # bytes of an archive of nothing
 LARGEST = 2**31  # bytes that one archive may unpack to
 
 
@@ -134,6 +135,8 @@ def check_sizes(path: Path, archive: zipfile.ZipFile, *, stored: bool) -> None:
     names = [member.filename for member in archive.infolist()]
     if len(set(names)) < len(names):
         raise FileError(f"{path} holds several members of one name")
+    if not names and size > EMPTY:
+        raise FileError(f"{path} is damaged: its directory names none of what its {size} bytes hold")
     if (said := _members_said(path)) not in (None, len(names)):
         raise FileError(f"{path} is damaged: its directory has {len(names)} members where its end says {said}")
 

@@ -263,7 +263,11 @@ def read_npz(path: str | Path, wanted: Iterable[str] | None = None) -> dict[str,
                 raise FileError(f"{path} is damaged: {bad} does not have the checksum that was written with it")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             names = set(arrays.files) if wanted is None else set(wanted)
-            return {name: arrays[name] for name in arrays.files if name in names}
+            found = {name: arrays[name] for name in arrays.files if name in names}
+        for name, value in found.items():
+            if not isinstance(value, np.ndarray):  # numpy hands out the bytes
+                raise FileError(f"{path} is damaged, or no .npz archive: {name} in it is no array")
+        return found
     except FileError:
         raise
     except zipfile.BadZipFile as error:

@@ -1,6 +1,7 @@
 """A step is all or nothing, state comes back bit for bit or is refused, and wrong input is refused in our words."""
 
 import copy
+import functools
 import math
 import sys
 import warnings
@@ -437,14 +438,27 @@ def prepared(name, call, exploration, elite):
 )
 @pytest.mark.slow
 def test_an_interruption_anywhere_leaves_all_or_nothing(name, call, exploration, elite, where):
+    total = lines(functools.partial(CALLS[call], *prepared(name, call, exploration, elite)))
+    interrupted(name, call, exploration, elite, at=1 + int(where * (total - 1)))
+
+
+@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.slow
+def test_an_interruption_of_the_last_lines_leaves_all_or_nothing(call):
+    total = lines(functools.partial(CALLS[call], *prepared("PIBB", call, "Gaussian", "none")))
+    for at in range(total - 8, total + 1):
+        interrupted("PIBB", call, "Gaussian", "none", at)
+
+
+def interrupted(name, call, exploration, elite, at):
     policy, optim = prepared(name, call, exploration, elite)
     before = everything(optim)
-    total = lines(lambda: CALLS[call](policy, optim))
+    CALLS[call](policy, optim)
     after = everything(optim)
     assert after != before
     policy, optim = prepared(name, call, exploration, elite)
     assert everything(optim) == before
-    with pytest.raises(KeyboardInterrupt), Interrupt(1 + int(where * (total - 1))):
+    with pytest.raises(KeyboardInterrupt), Interrupt(at):
         CALLS[call](policy, optim)
     assert everything(optim) == before
     assert visits.listener.get() is None

@@ -178,20 +178,38 @@ def test_arrays_come_back_and_damaged_or_absurd_ones_do_not(tmp_path):
     assert set(files.read_npz(path, ["y", "z"])) == {"y"}
 
 
-@pytest.mark.slow
-def test_no_flipped_bit_of_an_archive_changes_what_is_read_in_silence(tmp_path):
-    path, arrays = tmp_path / "a.npz", {"x": np.arange(3.0), "dt": np.array(0.1)}
-    files.write_npz(path, arrays)
-    raw = path.read_bytes()
+def flipped(raw):
+    """All that differ in one bit."""
     for place in range(8 * len(raw)):
         damaged = bytearray(raw)
         damaged[place // 8] ^= 1 << place % 8
+        yield damaged
+
+
+def zeroed(raw):
+    """All that a disk has left with zeros from somewhere to the end, or in a block of 16 bytes."""
+    for at in range(len(raw)):
+        yield raw[:at] + bytes(len(raw) - at)
+        yield raw[:at] + bytes(len(raw[at : at + 16])) + raw[at + 16 :]
+
+
+@pytest.mark.parametrize("damage", [flipped, zeroed])
+@pytest.mark.slow
+def test_no_damage_of_an_archive_changes_what_is_read_in_silence(damage, tmp_path):
+    path, arrays = tmp_path / "a.npz", {"x": np.arange(3.0), "dt": np.array(0.1)}
+    files.write_npz(path, arrays)
+    for damaged in damage(path.read_bytes()):
         path.write_bytes(damaged)
         try:
             found = files.read_npz(path)
         except FileError:
             continue
         assert found.keys() == arrays.keys() and all(np.array_equal(found[name], arrays[name]) for name in arrays)
+
+
+def test_an_archive_of_nothing_is_whole(tmp_path):
+    files.write_npz(tmp_path / "a.npz", {})
+    assert files.read_npz(tmp_path / "a.npz") == {}
 
 
 def test_what_is_no_file_is_said_to_be_none(tmp_path):

@@ -115,13 +115,14 @@ class Resumable(torch.optim.Optimizer):
         handle = self.register_load_state_dict_pre_hook(_arrive)
         before = Snapshot(self)
         try:
-            super().load_state_dict(dict(state_dict))
+            try:
+                super().load_state_dict(dict(state_dict))
+            finally:
+                handle.remove()
+                vars(self).pop("_arrived", None)
         except BaseException:
             before.restore()
             raise
-        finally:
-            handle.remove()
-            vars(self).pop("_arrived", None)
 
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles keep: all attributes but those of torch, the generator by its state."""
