@@ -10,11 +10,12 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
+from torch.nn.functional import pad
 
 from torchds import kernels
 from torchds.arrays import Array, beside, number, real
 from torchds.errors import InvalidArgumentError
+from torchds.visits import Gated
 
 
 def via_points(x: Array, points: Array) -> Tensor:
@@ -46,7 +47,7 @@ def goal(x: Array, target: Array) -> Tensor:
 def acceleration_steps(v: Array) -> Tensor:
     """|v_j − v_{j−1}| of every step `(..., T)` for `v` `(..., T, O)`, zero in the first; not divided by dt (Eq. 39)."""
     v = real("v", v, "(..., T, O)")
-    return F.pad(torch.linalg.vector_norm(v.diff(dim=-2), dim=-1), (1, 0))
+    return pad(torch.linalg.vector_norm(v.diff(dim=-2), dim=-1), (1, 0))
 
 
 def acceleration(v: Array) -> Tensor:
@@ -66,7 +67,7 @@ def stiffness(s: Array) -> Tensor:
     return size.sum(-1)
 
 
-def control_cost(deviation: Array, noise: Array, features: Array, weight: float | Array) -> Tensor:
+def control_cost(deviation: Array, noise: Array, features: Array | Gated, weight: float | Array) -> Tensor:
     r"""Υ_t = (θ* + M_t ε)ᵀ R (θ* + M_t ε) of Algorithm 1, lines 15-16, without a P×P matrix.
 
     With R diagonal and G = [gᵀ ⊗ I], M projects each output row of ε on its features g, hence per row
@@ -78,22 +79,27 @@ def control_cost(deviation: Array, noise: Array, features: Array, weight: float 
     Args:
         deviation: `(*batch, O, F)` θ*, the distance from the demonstrated policy, one row per output.
         noise: `(*batch, O, F)` ε.
-        features: `(*batch, *points, T, F)` g_t = h_k(x_t) [x_t, 1], of one roll-out or of several of the same policy.
+        features: `(*batch, *points, T, F)` g_t = h_k(x_t) [x_t, 1], of one roll-out or of several of the same policy; as
+            such, or in its two parts (`Rollout.visited`).
         weight: R, a number r for r I or its diagonal `(*batch, O, F)`. A parameter of weight zero is free: it costs
             nothing and M does not see it.
 
     Returns:
         `(*batch, *points, T)`; the cost of a roll-out is ½ Σ_t Υ_t.
     """
-    g = real("features", features, "(*batch, *points, T, F)")
-    theta = beside("deviation", deviation, g.new_empty(1, g.shape[-1]), "(*batch, O, F)")
+    if not isinstance(features, Gated):
+        g = real("features", features, "(*batch, *points, T, F)")
+        features = Gated(g, g[..., :0])  # an input less each: g [1]
+    n_axes, F = len(features.shape), features.shape[-1]
+    theta = beside("deviation", deviation, features.gating.new_empty(1, F), "(*batch, O, F)")
     epsilon = beside("noise", noise, theta, "(*batch, O, F)", last=2)
     R: Tensor = beside("weight", weight, theta, "a number or (*batch, O, F)", last=0)
     R, theta = torch.broadcast_tensors(R, theta)  # type: ignore[no-untyped-call]
-    for _ in range(g.ndim - theta.ndim):  # an axis for each of the points
+    for _ in range(n_axes - theta.ndim):  # an axis for each of the points
         theta, epsilon, R = theta.unsqueeze(-3), epsilon.unsqueeze(-3), R.unsqueeze(-3)
-    if kernels.fits(theta, epsilon, g, R):
-        return kernels.control_cost(theta, epsilon, g, R)
+    if kernels.fits(theta, epsilon, R, features.gating):
+        return kernels.control_cost(theta, epsilon, features, R)
+    g = features.features
     controlled = R > 0
     inverse = torch.where(controlled, 1.0 / R, 0.0)
     drift = torch.where(controlled, theta, 0.0) @ g.mT  # (*batch, O, T): θ*·g

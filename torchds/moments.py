@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from torch import Tensor
 from torchds.devices import Movable
 from torchds.plants import Command, Plant
 from torchds.stops import StopCondition
+from torchds.visits import Gated
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Rollout(Movable):
         x: `(*batch, *points, T+1, D)` states, the start first; of the plant where there is one.
         v: `(*batch, *points, T, O)` velocities of the steps; zero once a roll-out rests. With a plant, its velocities
             at the ends of the steps, `(..., T, D)`.
-        features: `(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the inputs.
+        visited: the features that the policy saw, from which `features` and `gating` are made.
         dt: time step [s].
         resting: `(*batch, *points, T)` True where a stop condition kept the step from being taken; None without one.
         stiffness: `(*batch, *points, T, Q)` what the policy asked for [N/m], before any limits; what a plant applied is
@@ -39,7 +41,7 @@ class Rollout(Movable):
 
     x: Tensor
     v: Tensor
-    features: Tensor
+    visited: Tensor | Gated
     dt: float
     resting: Tensor | None
     stiffness: Tensor | None
@@ -47,11 +49,16 @@ class Rollout(Movable):
     inputs: Tensor
     plant: Any
 
+    @functools.cached_property
+    def features(self) -> Tensor:
+        """`(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the inputs."""
+        return self.visited.features if isinstance(self.visited, Gated) else self.visited
+
     @property
     def gating(self) -> Tensor:
         """h_k `(*batch, *points, T, K)` at the inputs."""
         D = self.reference.shape[-1]
-        return self.features[..., D :: D + 1]
+        return self.visited.gating if isinstance(self.visited, Gated) else self.visited[..., D :: D + 1]
 
     @property
     def stopped(self) -> Tensor:
@@ -153,7 +160,7 @@ def record(
     return Rollout(
         x=reference if tracked is None else tracked.x,
         v=torch.stack([step.v for step in steps], -2) if tracked is None else tracked.v[..., 1:, :],
-        features=torch.stack(list(features), -2),
+        visited=torch.stack(list(features), -2),
         dt=dt,
         resting=torch.stack(rests, -1) if rests else None,
         stiffness=torch.stack(list(stiffness), -2) if stiffness else None,

@@ -22,6 +22,7 @@ from torchds.moments import advance, begin, record, seen
 from torchds.plants import Plant
 from torchds.scanning import Step, Taken, scanned
 from torchds.stops import StopCondition
+from torchds.visits import Gated
 
 Shift = Array | Callable[[float], Array]
 """`(D,)`, `(*points, D)` or `(*batch, *points, D)`, or a function of the time [s] that returns one of these."""
@@ -133,7 +134,7 @@ def rollout(
                 begin(x0.expand(*lead, D), O, stop, plant),
             )
             path = (scanned if wanted == "scan" else _eager)(step, start, n_steps, dt)
-    visits.report(policy, path.features)
+    visits.report(policy, path.visited)
     return path
 
 
@@ -215,7 +216,7 @@ def _fused(
 
     def definition(rows: Tensor, x: Tensor) -> tuple[Tensor, ...]:
         path = _eager(_step(policy, rows, dt, stop, None, shift), begin(x, policy.output_dim, stop), n_steps, dt)
-        return path.reference, path.v, path.features, *(() if path.stiffness is None else (path.stiffness,))
+        return path.reference, path.v, path.gating, *(() if path.stiffness is None else (path.stiffness,))
 
     track = kernels.roll_out(field, x0, setting, definition)
     x, v, tracked = track.reference, track.v, None
@@ -224,15 +225,16 @@ def _fused(
         tracked = type(fields)(*torch.split(track.states, widths, -1))
         x, v = tracked.x, tracked.v[..., 1:, :]
     inputs = track.reference[..., :-1, :]
+    inputs = inputs if shift is None else inputs - shift.unsqueeze(-2)
     return Rollout(
         x=x,
         v=v,
-        features=track.features,
+        visited=Gated(track.gating, inputs),
         dt=dt,
         resting=track.resting,
         stiffness=track.stiffness if Q else None,
         reference=track.reference,
-        inputs=inputs if shift is None else inputs - shift.unsqueeze(-2),
+        inputs=inputs,
         plant=tracked,
     )
 

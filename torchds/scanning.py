@@ -55,7 +55,7 @@ def scanned(step: Step, start: Moment, n_steps: int, dt: float) -> Rollout:
     return Rollout(
         x=track.x if tracked is None else tracked.x,
         v=(track if tracked is None else tracked).v[..., 1:, :],
-        features=features,
+        visited=features,
         dt=dt,
         resting=None if track.resting is None else track.resting[..., 1:],
         stiffness=stiffness[0] if stiffness else None,

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from torchds.errors import InvalidArgumentError
 
@@ -41,11 +42,39 @@ class LinearPolicy(Protocol):
         """The activation of the component that each feature belongs to."""
 
 
+class Gated(NamedTuple):
+    """Features h_k [x, 1] of K linear experts of D inputs, in the two parts that they consist of: a third of the numbers.
+
+    Attributes:
+        gating: `(*batch, *points, T, K)` h.
+        inputs: `(*batch, *points, T, D)` x.
+    """
+
+    gating: Tensor
+    inputs: Tensor
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the features, (*batch, *points, T, K (D+1))."""
+        *lead, K = self.gating.shape
+        return *lead, K * (self.inputs.shape[-1] + 1)
+
+    @property
+    def features(self) -> Tensor:
+        """`(*batch, *points, T, K (D+1))`."""
+        return (self.gating.unsqueeze(-1) * F.pad(self.inputs, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
+
+
 class Visit(NamedTuple):
-    """One roll-out's report: the policy, and the features `(*batch, *points, T, F)` that it saw."""
+    """One roll-out's report: the policy, and the features `(*batch, *points, T, F)` that it saw, as such or `Gated`."""
 
     policy: LinearPolicy
-    features: Tensor
+    visited: Tensor | Gated
+
+    @property
+    def features(self) -> Tensor:
+        """`(*batch, *points, T, F)`."""
+        return self.visited.features if isinstance(self.visited, Gated) else self.visited
 
 
 listener: ContextVar[list[Visit] | None] = ContextVar("torchds_visits", default=None)
@@ -63,7 +92,7 @@ def listen() -> Iterator[list[Visit]]:
         listener.reset(token)
 
 
-def report(policy: LinearPolicy, features: Tensor) -> None:
+def report(policy: LinearPolicy, features: Tensor | Gated) -> None:
     """Tell whoever listens that `policy` visited `features` `(*batch, *points, T, F)`.
 
     Raises:
@@ -86,7 +115,7 @@ def checked(visit: Any) -> Visit:
         policy, features = visit
     except (TypeError, ValueError):
         policy, features = None, visit
-    if not hasattr(policy, "rows") or not isinstance(features, Tensor):
+    if not hasattr(policy, "rows") or not isinstance(features, (Tensor, Gated)):
         raise InvalidArgumentError(
             "a visit is (policy, features) of a policy that is linear in features and a tensor (*batch, *points, T, F), got "
             f"{type(policy).__name__} and {type(features).__name__}; use Visit(policy, policy.features(x))"

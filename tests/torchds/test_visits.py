@@ -9,7 +9,7 @@ def test_roll_outs_report_their_policy_and_features(random_policy, randn):
     with visits.listen() as heard:
         paths = [rollout(first, randn(2), n_steps=4, dt=0.1), rollout(second, randn(5, 2), n_steps=6, dt=0.1)]
     assert [visit.policy for visit in heard] == [first, second]
-    assert all(visit.features is path.features for visit, path in zip(heard, paths, strict=True))
+    assert all(visit.visited is path.visited for visit, path in zip(heard, paths, strict=True))
     assert heard[1].features.shape == (3, 5, 6, 9)
 
 

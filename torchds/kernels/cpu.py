@@ -18,7 +18,7 @@ import numpy as np
 
 from torchds.kernels import steps
 from torchds.kernels.compiling import compiled, jitted, piece
-from torchds.kernels.gating import activate
+from torchds.kernels.gating import activate, expert
 
 NONE, BOUNDS, WALLS = steps.NONE, steps.BOUNDS, steps.WALLS
 CONSTANT, BEYOND, AWAY, AWAY_ALONG_NORMAL = steps.CONSTANT, steps.BEYOND, steps.AWAY, steps.AWAY_ALONG_NORMAL
@@ -136,16 +136,15 @@ def plant_step(kind, p, before, after, external, x_before, x, v_before, v, stiff
 
 def roll(
     first, last, axes, experts, n_points, dt, start, rows, center, factors, offset, log_scale, limit,
-    x, v, features, stiffness, shift, stop, plant,
+    x, v, gating, stiffness, shift, stop, plant,
 ):  # fmt: skip
     """Roll-outs `first` ≤ i < `last` of `torchds.rollout`.
 
-    `stop` is (kind, parameters, resting), `plant` (kind, parameters, force kind, its parameters, states) or None: what is
-    compiled then does not contain it.
+    `stop` is (kind, parameters, resting) and `plant` (kind, parameters, force kind, its parameters, states), or None: what is
+    compiled then does not contain them.
     """
     D, K, n_velocities, n_steps = len(axes), len(experts), v.shape[2], v.shape[1]
-    kind, limits, resting = stop
-    h, seen, external, still = np.empty(K), np.empty(D), np.zeros(D), np.zeros_like(v[0, 0])
+    seen, external, still = np.empty(D), np.zeros(D), np.zeros_like(v[0, 0])
     for i in range(first, last):
         policy, rests = i // n_points, False
         gate, R = policy % len(log_scale), rows[policy]
@@ -153,25 +152,22 @@ def roll(
         for d in range(D):
             x[i, 0, d] = start[i % len(start), d]
         for t in range(n_steps):
-            here, there, g, y, s = x[i, t], x[i, t + 1], features[i, t], v[i, t], stiffness[i, t]
+            here, there, h, y, s = x[i, t], x[i, t + 1], gating[i, t], v[i, t], stiffness[i, t]
             for d in range(D):
                 seen[d] = here[d] - moved[d]
             activate(axes, experts, seen, c, W, off, scales, limit, h)
-            for k in range(K):
-                for d in range(D):
-                    g[k * (D + 1) + d] = h[k] * seen[d]
-                g[k * (D + 1) + D] = h[k]
             for o in range(len(R)):
                 value = 0.0
-                for f in range(K * (D + 1)):
-                    value += R[o, f] * g[f]
+                for k in range(K):
+                    value += expert(axes, R[o], k, h[k], seen)
                 if o < n_velocities:
                     y[o] = value
                 else:
                     s[o - n_velocities] = value
             for d in range(D):
                 there[d] = here[d] + dt * y[d]
-            if kind != NONE:
+            if stop is not None:
+                kind, limits, resting = stop
                 rests = rests or stop_step(kind, limits[i % len(limits)], here, there)
                 resting[i, t] = rests
                 if rests:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchds.arrays import broadcast_shape
 from torchds.kernels.choice import Unfit
 from torchds.kernels.steps import NONE, OWN, ScalarStep
+from torchds.visits import Gated
 
 
 class Field(NamedTuple):
@@ -44,15 +45,8 @@ class Field(NamedTuple):
 
     def arrays(self) -> tuple[Any, ...]:
         """Rows and gating as arrays, all batches flat."""
-        K, D = self.factors.shape[-3:-1]
-        return (
-            _flat(self.rows, *self.rows.shape[-2:]),
-            _flat(self.center, D),
-            _flat(self.factors, K, D, D),
-            _flat(self.offset, K * D),
-            _flat(self.log_scale, K),
-            self.limit,
-        )
+        gating = (_flat(self.center, 1), _flat(self.factors, 3), _flat(self.offset, 1), _flat(self.log_scale, 1))
+        return (_flat(self.rows, 2), *gating, self.limit)
 
 
 class Setting(NamedTuple):
@@ -83,7 +77,7 @@ class Track(NamedTuple):
     Attributes:
         reference: `(*batch, *points, T+1, D)`.
         v: `(*batch, *points, T, O)` of the reference.
-        features: `(*batch, *points, T, K (D+1))`.
+        gating: `(*batch, *points, T, K)` h_k at what the policy saw.
         stiffness: `(*batch, *points, T, Q)`, also for Q = 0.
         resting: `(*batch, *points, T)`; None without a stop condition.
         states: `(*batch, *points, T+1, S)` of the plant; None without one.
@@ -91,7 +85,7 @@ class Track(NamedTuple):
 
     reference: Tensor
     v: Tensor
-    features: Tensor
+    gating: Tensor
     stiffness: Tensor
     resting: Tensor | None = None
     states: Tensor | None = None
@@ -118,17 +112,18 @@ def roll_out(
         raise Unfit("gradients through a plant need the eager loop")
     start = start.expand(*setting.lead, start.shape[-1])
     written = _Differentiable.apply(field.rows, start, field, setting, definition)  # type: ignore[no-untyped-call]
-    reference, v, features, stiffness, resting = written
-    return Track(reference, v, features, stiffness, None if setting.stop is None else resting)
+    reference, v, gating, stiffness, resting = written
+    return Track(reference, v, gating, stiffness, None if setting.stop is None else resting)
 
 
 def sensitivity(field: Field, inputs: Tensor, resting: Tensor | None, dt: float) -> Tensor:
     """∂(reference, integrals)/∂θ `(*batch, *points, T, O, P)` along `inputs` `(*batch, *points, T, D)`."""
     from torchds.kernels import gradients
 
-    lead, (T, D), (N, F) = inputs.shape[:-2], inputs.shape[-2:], field.rows.shape[-2:]
+    *lead, T, _ = inputs.shape
+    N, F = field.rows.shape[-2:]
     motion = inputs.new_empty(*lead, T, field.n_velocities, N * F)
-    arrays = (float(dt), *field.arrays(), _flat(inputs, T, D), _rests(resting), _flat(motion, *motion.shape[-3:]))
+    arrays = (float(dt), *field.arrays(), _flat(inputs, 2), _rests(resting), _flat(motion, 3))
     _over(field, gradients.sensitivities, math.prod(lead), T, (), *arrays)
     return motion
 
@@ -137,34 +132,37 @@ def stiffness_sensitivity(field: Field, inputs: Tensor, motion: Tensor) -> Tenso
     """∂s/∂θ `(*batch, *points, T, Q, P)`, from the result of `sensitivity`."""
     from torchds.kernels import gradients
 
-    lead, (T, D), (N, F) = inputs.shape[:-2], inputs.shape[-2:], field.rows.shape[-2:]
+    *lead, T, _ = inputs.shape
+    N, F = field.rows.shape[-2:]
     stiffness = inputs.new_empty(*lead, T, N - field.n_velocities, N * F)
-    arrays = (*field.arrays(), _flat(inputs, T, D), *(_flat(J, *J.shape[-3:]) for J in (motion, stiffness)))
+    arrays = (*field.arrays(), _flat(inputs, 2), _flat(motion, 3), _flat(stiffness, 3))
     _over(field, gradients.stiffness_sensitivities, math.prod(lead), T, (), *arrays)
     return stiffness
 
 
-def control_cost(deviation: Tensor, noise: Tensor, features: Tensor, weight: Tensor) -> Tensor:
+def control_cost(deviation: Tensor, noise: Tensor, features: Gated, weight: Tensor) -> Tensor:
     """Υ `(*batch, *points, T)` of `torchds.costs.control_cost`, all arguments with the same leading dimensions or ones."""
     from torchds.kernels import gradients
 
-    lead = broadcast_shape(*(t.shape[:-2] for t in (deviation, noise, features, weight)))
-    (O, F), T = deviation.shape[-2:], features.shape[-2]
-    upsilon = features.new_empty(*lead, T)
-    rows = [_flat(rows.expand(*lead, O, F), O, F) for rows in (deviation, noise, weight)]
-    arrays = (*rows, _flat(features.expand(*lead, T, F), T, F), _flat(upsilon, T))
-    _in_threads(gradients.control, (features.dtype,), (F,), len(arrays[-1]), T, *arrays)
+    given = (deviation, noise, weight, *features)
+    lead = broadcast_shape(*(t.shape[:-2] for t in given))
+    T, (K, D) = features.gating.shape[-2], (part.shape[-1] for part in features)
+    upsilon = noise.new_empty(*lead, T)
+    arrays = [_flat(t.expand(*lead, *t.shape[-2:]), 2) for t in given]
+    _in_threads(gradients.control, (noise.dtype,), (D, K), math.prod(lead), T, *arrays, _flat(upsilon, 1))
     return upsilon
 
 
 # ---------------------------------------------------------------------- inside
 
 
-def _flat(tensor: Tensor, *core: int) -> Any:
-    """A tensor `(*lead, *core)` as an array `(n, *core)`, without a copy where it is in order."""
+def _flat(tensor: Tensor, core: int) -> Any:
+    """A tensor `(*lead, *core)` as an array `(n, *core)`, without a copy where it is in order; `core` last axes."""
     if tensor.requires_grad:
         tensor = tensor.detach()
-    return tensor.contiguous().numpy().reshape(-1, *core)
+    lead = tensor.shape[: tensor.ndim - core]
+    array = tensor.contiguous().numpy()
+    return array if len(lead) == 1 else array.reshape(math.prod(lead), *tensor.shape[len(lead) :])
 
 
 def _each(values: Tensor, lead: tuple[int, ...]) -> Any:
@@ -172,11 +170,11 @@ def _each(values: Tensor, lead: tuple[int, ...]) -> Any:
     own = tuple(values.shape[:-1])
     if lead[len(lead) - len(own) :] != own:
         values = values.expand(*lead, values.shape[-1])
-    return _flat(values, values.shape[-1])
+    return _flat(values, 1)
 
 
 def _rests(resting: Tensor | None) -> Any:
-    return np.empty((0, 0), dtype=bool) if resting is None else _flat(resting, resting.shape[-1])
+    return np.empty((0, 0), dtype=bool) if resting is None else _flat(resting, 1)
 
 
 def _over(field: Field, loop: Any, n: int, n_steps: int, form: tuple[bool, ...], *arrays: Any) -> None:
@@ -196,42 +194,36 @@ def _function(step: ScalarStep | None) -> Callable[..., Any] | None:
     return step.function if step is not None and callable(step.function) else None
 
 
-def _numbers(step: ScalarStep | None, lead: tuple[int, ...], nothing: Any) -> tuple[int, Any]:
+def _numbers(step: ScalarStep, lead: tuple[int, ...]) -> tuple[int, Any]:
     """Kind and parameters of a step, for compiled code."""
-    if step is None:
-        return NONE, nothing
     return step.function if isinstance(step.function, int) else OWN, _each(step.parameters, lead)
 
 
 def _run(field: Field, start: Tensor, setting: Setting) -> Track:
     from torchds.kernels import cpu
 
-    lead, T = setting.lead, setting.n_steps
-    D, (N, F) = start.shape[-1], field.rows.shape[-2:]
-    O, n = field.n_velocities, math.prod(lead)
-    new = field.rows.new_empty
-    track = Track(new(*lead, T + 1, D), new(*lead, T, O), new(*lead, T, F), new(*lead, T, N - O))
-    written = [t.numpy().reshape(n, *t.shape[-2:]) for t in track[:4]]
+    lead, T, D, O = setting.lead, setting.n_steps, start.shape[-1], field.n_velocities
+    N, K, new = field.rows.shape[-2], field.factors.shape[-3], field.rows.new_empty
+    track = Track(new(*lead, T + 1, D), new(*lead, T, O), new(*lead, T, K), new(*lead, T, N - O))
+    written = [_flat(t, 2) for t in track[:4]]
+    nothing = np.zeros((1, D), written[0].dtype)
     stop, plant, force = setting.stop, setting.plant, None
+    stopping: Any = None
+    tracking: Any = None
     if stop is not None:
         track = track._replace(resting=torch.empty(*lead, T, dtype=torch.bool))
-    nothing = np.zeros((1, D), written[0].dtype)
-    stopping, tracking = (*_numbers(stop, lead, nothing), _rests(track.resting)), None
+        stopping = (*_numbers(stop, lead), _rests(track.resting))
     if plant is not None and setting.begin is not None:
-        force, S = plant.force, setting.begin.shape[-1]
-        states = new(*lead, T + 1, S)
+        force, states = plant.force, new(*lead, T + 1, setting.begin.shape[-1])
         states[..., 0, :] = setting.begin
         track = track._replace(states=states)
-        tracking = (
-            *_numbers(plant, lead, nothing),
-            *_numbers(force, lead, nothing),
-            states.numpy().reshape(n, T + 1, S),
-        )
+        pushing = (NONE, nothing) if force is None else _numbers(force, lead)
+        tracking = (*_numbers(plant, lead), *pushing, _flat(states, 2))
     functions = (_function(stop), _function(force), _function(plant))
     loop = cpu.extended(*functions) if any(functions) else cpu.roll
     shift = nothing if setting.shift is None else _each(setting.shift, lead)
-    arrays = (setting.dt, _flat(start, D), *field.arrays(), *written, shift, stopping, tracking)
-    _over(field, loop, n, T, (plant is None,), *arrays)
+    arrays = (setting.dt, _flat(start, 1), *field.arrays(), *written, shift, stopping, tracking)
+    _over(field, loop, math.prod(lead), T, (stop is None, plant is None), *arrays)
     return track
 
 
@@ -243,7 +235,7 @@ class _Differentiable(torch.autograd.Function):
         track = _run(field, start, setting)
         resting = track.reference.new_empty(0, dtype=torch.bool) if track.resting is None else track.resting
         ctx.mark_non_differentiable(resting)
-        ctx.save_for_backward(rows, start, track.reference, track.features, resting)
+        ctx.save_for_backward(rows, start, track.reference, track.gating, resting)
         ctx.field, ctx.setting, ctx.definition = field, setting, definition
         return *track[:4], resting
 
@@ -251,7 +243,7 @@ class _Differentiable(torch.autograd.Function):
     def backward(ctx: Any, *received: Tensor) -> Any:
         from torchds.kernels import gradients
 
-        rows, start, reference, features, resting = ctx.saved_tensors
+        rows, start, reference, gating, resting = ctx.saved_tensors
         field, setting, on = ctx.field._replace(rows=rows), ctx.setting, received[:4]
         if torch.is_grad_enabled():  # create_graph=True: the adjoint itself is to have derivatives
             written = ctx.definition(rows, start)
@@ -259,15 +251,13 @@ class _Differentiable(torch.autograd.Function):
             found = iter(torch.autograd.grad(written, wanted, on[: len(written)], create_graph=True, allow_unused=True))
             return *(next(found) if wants else None for wants in ctx.needs_input_grad[:2]), None, None, None
         lead, T, D = setting.lead, setting.n_steps, start.shape[-1]
-        n = math.prod(lead)
         inputs = reference[..., :-1, :]
         if setting.shift is not None:
             inputs = inputs - setting.shift.unsqueeze(-2)
         N, F = rows.shape[-2:]
         on_rows, on_start = rows.new_empty(*lead, N, F), rows.new_empty(*lead, D)
-        arrays: tuple[Any, ...] = (_flat(inputs, T, D), _flat(features, T, F))
-        arrays += (_rests(None if setting.stop is None else resting),)
-        arrays += tuple(_flat(g, *g.shape[-2:]) if g.numel() else g.numpy().reshape(n, T, 0) for g in on)
-        arrays = (setting.dt, *field.arrays(), *arrays, _flat(on_rows, N, F), _flat(on_start, D))
-        _over(field, gradients.adjoint, n, T, (), *arrays)
+        path = (_flat(inputs, 2), _flat(gating, 2), _rests(None if setting.stop is None else resting))
+        gradients_on = (*(_flat(g, 2) for g in on), _flat(on_rows, 2), _flat(on_start, 1))
+        arrays = (setting.dt, *field.arrays(), *path, *gradients_on)
+        _over(field, gradients.adjoint, math.prod(lead), T, (), *arrays)
         return on_rows.reshape(*rows.shape[:-2], -1, N, F).sum(-3), on_start, None, None, None

@@ -32,6 +32,16 @@ def whitened(axes, k, j, x, center, factors, offset, limit):
 
 
 @piece
+def expert(axes, row, k, h, x):
+    """What component k says in one output: its part of the row times h [x, 1], nothing for h = 0, however far x is."""
+    D = len(axes)
+    y = row[k * (D + 1) + D] * h
+    for d in range(D):
+        y += row[k * (D + 1) + d] * (h * x[d])
+    return y
+
+
+@piece
 def activate(axes, experts, x, center, factors, offset, log_scale, limit, h):
     """Write h_k(x) of Eq. 2 to `h`, as `GMRPolicy.gating` has it: distances are cut only where their squares are infinite."""
     D, K = len(axes), len(experts)

@@ -8,36 +8,34 @@ from __future__ import annotations
 import numpy as np
 
 from torchds.kernels.compiling import piece
-from torchds.kernels.gating import activate, whitened
+from torchds.kernels.gating import activate, expert, whitened
 
 
 def adjoint(
     first, last, axes, experts, n_points, dt, rows, center, factors, offset, log_scale, limit,
-    inputs, features, resting, on_x, on_v, on_features, on_stiffness, on_rows, on_start,
+    inputs, gating, resting, on_x, on_v, on_gating, on_stiffness, on_rows, on_start,
 ):  # fmt: skip
     """The gradients with respect to rows and starts, from those with respect to all that a roll-out writes.
 
     With λ_t the gradient that reaches x_t, from the end to the start,
 
-        λ_t = ∂/∂x_t + λ_{t+1} + (∂g/∂x)ᵀ (∂/∂g + Rᵀ y),   y = [∂/∂v + dt λ_{t+1}; ∂/∂s],   ∂/∂R += y gᵀ,
+        λ_t = ∂/∂x_t + λ_{t+1} + (∂[ẋ; s]/∂x)ᵀ y + (∂h/∂x)ᵀ ∂/∂h,   y = [∂/∂v + dt λ_{t+1}; ∂/∂s],   ∂/∂R += y gᵀ,
 
-    and with g = h_k [x, 1] and q_k = (∂/∂g)_k · [x, 1]
+    and with g = h_k [x, 1] and q_k = (∂/∂h)_k + Σ_o y_o (R_k [x, 1])_o the last two terms of it are
 
-        (∂g/∂x)ᵀ ∂/∂g = Σ_k h_k ((∂/∂g)_k + (q_k − Σ_j h_j q_j) σ_k),   σ_k = −Σ_k⁻¹ (x − μ_k).
+        Σ_k h_k (A_kᵀ y + (q_k − Σ_j h_j q_j) σ_k),   σ_k = −Σ_k⁻¹ (x − μ_k).
     """
     D, K, N, n_velocities, n_steps = len(axes), len(experts), rows.shape[1], on_v.shape[2], on_v.shape[1]
-    F = K * (D + 1)
-    h, q, u, y, back = np.empty(K), np.empty(K), np.empty(F), np.empty(N), np.empty(D)
+    q, y, back = np.empty(K), np.empty(N), np.empty(D)
     for i in range(first, last):
         policy = i // n_points
         gate, R, on_R, along = policy % len(log_scale), rows[policy], on_rows[i], on_start[i]
-        c, W, off, scales = center[gate], factors[gate], offset[gate], log_scale[gate]
+        c, W, off = center[gate], factors[gate], offset[gate]
         on_R[:] = 0.0
         for d in range(D):
             along[d] = on_x[i, n_steps, d]
         for t in range(n_steps - 1, -1, -1):
-            seen, g = inputs[i, t], features[i, t]
-            activate(axes, experts, seen, c, W, off, scales, limit, h)
+            seen, h = inputs[i, t], gating[i, t]
             moves = resting.size == 0 or not resting[i, t]
             for o in range(N):
                 if o >= n_velocities:
@@ -46,23 +44,21 @@ def adjoint(
                     y[o] = 0.0
                 else:
                     y[o] = on_v[i, t, o] + (dt * along[o] if o < D else 0.0)
-            for f in range(F):
-                u[f] = on_features[i, t, f]
-            for o in range(N):
-                for f in range(F):
-                    u[f] += R[o, f] * y[o]
-                    on_R[o, f] += y[o] * g[f]
             mean = 0.0
             for k in range(K):
-                q[k] = u[k * (D + 1) + D]
-                for d in range(D):
-                    q[k] += u[k * (D + 1) + d] * seen[d]
+                q[k] = on_gating[i, t, k]
+                for o in range(N):
+                    q[k] += y[o] * expert(axes, R[o], k, 1.0, seen)
+                    for d in range(D):
+                        on_R[o, k * (D + 1) + d] += y[o] * (h[k] * seen[d])
+                    on_R[o, k * (D + 1) + D] += y[o] * h[k]
                 mean += h[k] * q[k]
             for d in range(D):
                 back[d] = on_x[i, t, d] + along[d]
             for k in range(K):
-                for d in range(D):
-                    back[d] += h[k] * u[k * (D + 1) + d]
+                for o in range(N):
+                    for d in range(D):
+                        back[d] += h[k] * R[o, k * (D + 1) + d] * y[o]
                 for j in range(D):
                     z = whitened(axes, k, j, seen, c, W, off, limit)
                     if abs(z) < limit:
@@ -82,15 +78,11 @@ def linearise(axes, experts, x, R, center, factors, offset, limit, h, slope):
         for d in range(D):
             slope[o, d] = 0.0
         for k in range(K):
-            y = R[o, k * (D + 1) + D]
             for d in range(D):
-                y += R[o, k * (D + 1) + d] * x[d]
                 slope[o, d] += h[k] * R[o, k * (D + 1) + d]
-            mean += h[k] * y
+            mean += expert(axes, R[o], k, h[k], x)
         for k in range(K):
-            y = R[o, k * (D + 1) + D]
-            for d in range(D):
-                y += R[o, k * (D + 1) + d] * x[d]
+            y = expert(axes, R[o], k, 1.0, x)
             for j in range(D):
                 z = whitened(axes, k, j, x, center, factors, offset, limit)
                 for d in range(D):
@@ -161,10 +153,12 @@ def stiffness_sensitivities(
                     row[k * E + N * D + o] += h[k]
 
 
-def control(first, last, columns, deviation, noise, weight, features, upsilon):
-    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`, of features as many as `columns`."""
-    O, F, n_steps = deviation.shape[1], len(columns), features.shape[1]
-    drifts, pushes, inverse, alike = np.empty((O, F)), np.empty((O, F)), np.empty((O, F)), np.empty(O, np.bool_)
+def control(first, last, axes, experts, deviation, noise, weight, gating, inputs, upsilon):
+    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`, with features h_k [x, 1]."""
+    D, K, O, n_steps = len(axes), len(experts), deviation.shape[1], gating.shape[1]
+    F = K * (D + 1)
+    g, alike = np.empty(F), np.empty(O, np.bool_)
+    drifts, pushes, inverse = np.empty((O, F)), np.empty((O, F)), np.empty((O, F))
     for i in range(first, last):
         constant = 0.0
         for o in range(O):
@@ -178,7 +172,11 @@ def control(first, last, columns, deviation, noise, weight, features, upsilon):
                 if o > 0 and inverse[o, f] != inverse[o - 1, f]:
                     alike[o] = False
         for t in range(n_steps):
-            g, total, size = features[i, t], constant, 0.0
+            total, size = constant, 0.0
+            for k in range(K):
+                for d in range(D):
+                    g[k * (D + 1) + d] = gating[i, t, k] * inputs[i, t, d]
+                g[k * (D + 1) + D] = gating[i, t, k]
             for o in range(O):
                 if not alike[o]:
                     size = 0.0

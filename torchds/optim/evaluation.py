@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from torchds.arrays import shown
 from torchds.costs import control_cost
+from torchds.devices import moved
 from torchds.errors import InvalidArgumentError
 from torchds.optim.checkpoints import cost_dtype
 from torchds.visits import Visit, checked, listen
@@ -150,26 +151,23 @@ def controls(
         InvalidArgumentError: no roll-out of an optimised policy was reported, or features that are not its own.
     """
     found = []
-    for visit in visits:
-        policy, features = checked(visit)
+    for visit in map(checked, visits):
+        policy = visit.policy
         if not any(p in noise for p in policy.row_parameters.values()):
             continue  # not one of the optimised policies, for example a reference
         weights = [weight.get(p, 0.0) for p in policy.row_parameters.values()]
         r = weights[0] if len({*weights}) == 1 else policy.rows(lambda p: torch.full_like(p, weight.get(p, 0.0)))
         epsilon = policy.rows(lambda p: noise[p] if p in noise else torch.zeros_like(p))
-        if (
-            features.ndim < epsilon.ndim
-            or features.shape[: epsilon.ndim - 2] != epsilon.shape[:-2]
-            or (features.shape[-1] != epsilon.shape[-1])
-        ):
+        shape, batch = tuple(visit.visited.shape), tuple(epsilon.shape[:-2])
+        if len(shape) < epsilon.ndim or shape[: len(batch)] != batch or shape[-1] != epsilon.shape[-1]:
             raise InvalidArgumentError(
-                f"features of a visit have to be (N, *batch, *points, T, F) with (N, *batch) = {tuple(epsilon.shape[:-2])} and "
-                f"F = {epsilon.shape[-1]}, got {tuple(features.shape)}"
+                f"features of a visit have to be (N, *batch, *points, T, F) with (N, *batch) = {batch} and "
+                f"F = {epsilon.shape[-1]}, got {shape}"
             )
-        features = features.to(epsilon)
+        visited = moved(visit.visited, epsilon.device, epsilon.dtype)
         deviation = policy.rows() - (policy.initial_rows if reference == "demonstrated" else 0.0)
-        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, features, r)
-        found.append(Control(Visit(policy, features), upsilon, epsilon))
+        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, visited, r)
+        found.append(Control(Visit(policy, visited), upsilon, epsilon))
     if not found:
         raise InvalidArgumentError(
             "control_weight > 0 and PI2 need to know which features the roll-outs of the optimised policy visited: use "

@@ -110,7 +110,7 @@ class PI2(PolicySearch):
         part = control[0]
         to_go = cost_to_go(steps, part.upsilon)
         weights = cost_weights(to_go, float(group["eliteness"]), group["temperature"])
-        policy, features = part.visit
+        policy, features = part.visit.policy, part.visit.features
         # A roll-out that failed does not count, nor does a state at infinity.
         counts = to_go.isfinite() & features.isfinite().all(-1)
         features = torch.where(counts.unsqueeze(-1), features, 0.0)
