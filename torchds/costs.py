@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchds import kernels
-from torchds.arrays import Array, beside, number, real
+from torchds.arrays import Array, beside, broadcast_shape, number, real
 from torchds.errors import InvalidArgumentError
 from torchds.visits import Gated
 
@@ -94,8 +94,8 @@ def control_cost(deviation: Array, noise: Array, features: Array | Gated, weight
     theta = beside("deviation", deviation, features.gating.new_empty(1, F), "(*batch, O, F)")
     epsilon = beside("noise", noise, theta, "(*batch, O, F)", last=2)
     R: Tensor = beside("weight", weight, theta, "a number or (*batch, O, F)", last=0)
-    R, theta = torch.broadcast_tensors(R, theta)  # type: ignore[no-untyped-call]
-    for _ in range(n_axes - theta.ndim):  # an axis for each of the points
+    R = R.expand(broadcast_shape(R.shape, theta.shape[-2:]))
+    for _ in range(n_axes - max(theta.ndim, epsilon.ndim)):  # an axis for each of the points
         theta, epsilon, R = theta.unsqueeze(-3), epsilon.unsqueeze(-3), R.unsqueeze(-3)
     if kernels.fits(theta, epsilon, R, features.gating):
         return kernels.control_cost(theta, epsilon, features, R)

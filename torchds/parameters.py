@@ -28,6 +28,12 @@ class ExpertParameters(nn.Module):
         b: `(*batch, K, O)` offsets of the velocity.
         stiffness_A: `(*batch, K, Q, D)` slopes of the stiffness.
         stiffness_b: `(*batch, K, Q)` offsets of the stiffness.
+
+    Attributes:
+        n_components: K.
+        input_dim: D.
+        output_dim: O, the number of velocities.
+        stiffness_dim: Q, the number of stiffness outputs.
     """
 
     info: policy_file.Info = policy_file.Info()
@@ -44,6 +50,8 @@ class ExpertParameters(nn.Module):
 
     def __init__(self, A: Tensor, b: Tensor, stiffness_A: Tensor, stiffness_b: Tensor) -> None:
         super().__init__()
+        self.n_components, self.output_dim, self.input_dim = A.shape[-3:]
+        self.stiffness_dim = stiffness_A.shape[-2]
         named = {"A": A, "b": b, "stiffness_A": stiffness_A, "stiffness_b": stiffness_b}
         for name, value in named.items():
             self.register_buffer(f"initial_{name}", value.detach().clone())
@@ -53,26 +61,6 @@ class ExpertParameters(nn.Module):
                 self.register_parameter(name, None)
 
     # ------------------------------------------------------------------ shapes
-
-    @property
-    def n_components(self) -> int:
-        """K."""
-        return self.initial_A.shape[-3]
-
-    @property
-    def input_dim(self) -> int:
-        """D."""
-        return self.initial_A.shape[-1]
-
-    @property
-    def output_dim(self) -> int:
-        """O, the number of velocities."""
-        return self.initial_A.shape[-2]
-
-    @property
-    def stiffness_dim(self) -> int:
-        """Q, the number of stiffness outputs."""
-        return self.initial_stiffness_A.shape[-2]
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

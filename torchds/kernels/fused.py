@@ -43,10 +43,13 @@ class Field(NamedTuple):
         """The largest whitened distance whose square is finite, as in `GMRPolicy.gating`."""
         return float(torch.finfo(self.rows.dtype).max ** 0.5 / (4 * self.center.shape[-1]))
 
+    def gate(self) -> tuple[Any, ...]:
+        """The gating as arrays, all batches flat."""
+        return _flat(self.center, 1), _flat(self.factors, 3), _flat(self.offset, 1), _flat(self.log_scale, 1), self.limit
+
     def arrays(self) -> tuple[Any, ...]:
         """Rows and gating as arrays, all batches flat."""
-        gating = (_flat(self.center, 1), _flat(self.factors, 3), _flat(self.offset, 1), _flat(self.log_scale, 1))
-        return (_flat(self.rows, 2), *gating, self.limit)
+        return _flat(self.rows, 2), *self.gate()
 
 
 class Setting(NamedTuple):
@@ -146,11 +149,11 @@ def control_cost(deviation: Tensor, noise: Tensor, features: Gated, weight: Tens
 
     given = (deviation, noise, weight, *features)
     lead = broadcast_shape(*(t.shape[:-2] for t in given))
-    T, (K, D) = features.gating.shape[-2], (part.shape[-1] for part in features)
-    upsilon = noise.new_empty(*lead, T)
-    arrays = [_flat(t.expand(*lead, *t.shape[-2:]), 2) for t in given]
-    _in_threads(gradients.control, (noise.dtype,), (D, K), math.prod(lead), T, *arrays, _flat(upsilon, 1))
-    return upsilon
+    (T, K), D, n = features.gating.shape[-2:], features.inputs.shape[-1], math.prod(lead)
+    arrays = [_each(t, lead, 2) for t in given]
+    upsilon = np.empty((n, T), arrays[0].dtype)
+    _in_threads(gradients.control, (noise.dtype,), (D, K), n, T, *arrays, upsilon)
+    return _tensor(upsilon, lead)
 
 
 # ---------------------------------------------------------------------- inside
@@ -165,12 +168,20 @@ def _flat(tensor: Tensor, core: int) -> Any:
     return array if len(lead) == 1 else array.reshape(math.prod(lead), *tensor.shape[len(lead) :])
 
 
-def _each(values: Tensor, lead: tuple[int, ...]) -> Any:
-    """Parameters as for a `ScalarStep`, as an array of which roll-out i uses row i % len."""
-    own = tuple(values.shape[:-1])
+def _tensor(array: Any, lead: tuple[int, ...]) -> Tensor:
+    """An array `(n, *core)` as a tensor `(*lead, *core)` of the same memory."""
+    tensor = torch.from_numpy(array)
+    return tensor if len(lead) == 1 else tensor.view(*lead, *array.shape[1:])
+
+
+def _each(values: Tensor, lead: tuple[int, ...], core: int = 1) -> Any:
+    """A tensor that broadcasts to `(*lead, *core)` as an array of which roll-out i uses entry i % len; `core` last axes."""
+    while values.ndim > core and values.shape[0] == 1:
+        values = values[0]
+    own = tuple(values.shape[: values.ndim - core])
     if lead[len(lead) - len(own) :] != own:
-        values = values.expand(*lead, values.shape[-1])
-    return _flat(values, 1)
+        values = values.expand(*lead, *values.shape[len(own) :])
+    return _flat(values, core)
 
 
 def _rests(resting: Tensor | None) -> Any:
@@ -203,10 +214,10 @@ def _run(field: Field, start: Tensor, setting: Setting) -> Track:
     from torchds.kernels import cpu
 
     lead, T, D, O = setting.lead, setting.n_steps, start.shape[-1], field.n_velocities
-    N, K, new = field.rows.shape[-2], field.factors.shape[-3], field.rows.new_empty
-    track = Track(new(*lead, T + 1, D), new(*lead, T, O), new(*lead, T, K), new(*lead, T, N - O))
-    written = [_flat(t, 2) for t in track[:4]]
-    nothing = np.zeros((1, D), written[0].dtype)
+    N, K, n, rows = field.rows.shape[-2], field.factors.shape[-3], math.prod(lead), _flat(field.rows, 2)
+    written = [np.empty((n, *core), rows.dtype) for core in ((T + 1, D), (T, O), (T, K), (T, N - O))]
+    track = Track(*(_tensor(array, lead) for array in written))
+    nothing = np.zeros((1, D), rows.dtype)
     stop, plant, force = setting.stop, setting.plant, None
     stopping: Any = None
     tracking: Any = None
@@ -214,16 +225,16 @@ def _run(field: Field, start: Tensor, setting: Setting) -> Track:
         track = track._replace(resting=torch.empty(*lead, T, dtype=torch.bool))
         stopping = (*_numbers(stop, lead), _rests(track.resting))
     if plant is not None and setting.begin is not None:
-        force, states = plant.force, new(*lead, T + 1, setting.begin.shape[-1])
-        states[..., 0, :] = setting.begin
-        track = track._replace(states=states)
+        force, states = plant.force, np.empty((n, T + 1, setting.begin.shape[-1]), rows.dtype)
+        states[:, 0] = _flat(setting.begin, 1)
+        track = track._replace(states=_tensor(states, lead))
         pushing = (NONE, nothing) if force is None else _numbers(force, lead)
-        tracking = (*_numbers(plant, lead), *pushing, _flat(states, 2))
+        tracking = (*_numbers(plant, lead), *pushing, states)
     functions = (_function(stop), _function(force), _function(plant))
     loop = cpu.extended(*functions) if any(functions) else cpu.roll
     shift = nothing if setting.shift is None else _each(setting.shift, lead)
-    arrays = (setting.dt, _flat(start, 1), *field.arrays(), *written, shift, stopping, tracking)
-    _over(field, loop, math.prod(lead), T, (stop is None, plant is None), *arrays)
+    arrays = (setting.dt, _flat(start, 1), rows, *field.gate(), *written, shift, stopping, tracking)
+    _over(field, loop, n, T, (stop is None, plant is None), *arrays)
     return track
 
 

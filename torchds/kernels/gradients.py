@@ -154,29 +154,34 @@ def stiffness_sensitivities(
 
 
 def control(first, last, axes, experts, deviation, noise, weight, gating, inputs, upsilon):
-    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`, with features h_k [x, 1]."""
+    """Υ_t of `torchds.costs.control_cost` for roll-outs `first` ≤ i < `last`, with features h_k [x, 1].
+
+    Roll-out i has entry i % len of each argument.
+    """
     D, K, O, n_steps = len(axes), len(experts), deviation.shape[1], gating.shape[1]
     F = K * (D + 1)
     g, alike = np.empty(F), np.empty(O, np.bool_)
     drifts, pushes, inverse = np.empty((O, F)), np.empty((O, F)), np.empty((O, F))
     for i in range(first, last):
         constant = 0.0
+        R, theta, epsilon = weight[i % len(weight)], deviation[i % len(deviation)], noise[i % len(noise)]
+        h, x = gating[i % len(gating)], inputs[i % len(inputs)]
         for o in range(O):
             alike[o] = o > 0  # whether this row's gᵀR⁻¹g is that of the row before
             for f in range(F):
-                r, a, free = weight[i, o, f], deviation[i, o, f], not weight[i, o, f] > 0
+                r, a, free = R[o, f], theta[o, f], not R[o, f] > 0
                 constant += r * (a * a)
                 inverse[o, f] = 0.0 if free else 1.0 / r
                 drifts[o, f] = 0.0 if free else a
-                pushes[o, f] = 0.0 if free else noise[i, o, f]
+                pushes[o, f] = 0.0 if free else epsilon[o, f]
                 if o > 0 and inverse[o, f] != inverse[o - 1, f]:
                     alike[o] = False
         for t in range(n_steps):
             total, size = constant, 0.0
             for k in range(K):
                 for d in range(D):
-                    g[k * (D + 1) + d] = gating[i, t, k] * inputs[i, t, d]
-                g[k * (D + 1) + D] = gating[i, t, k]
+                    g[k * (D + 1) + d] = h[t, k] * x[t, d]
+                g[k * (D + 1) + D] = h[t, k]
             for o in range(O):
                 if not alike[o]:
                     size = 0.0

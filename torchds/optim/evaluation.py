@@ -166,7 +166,7 @@ def controls(
             )
         visited = moved(visit.visited, epsilon.device, epsilon.dtype)
         deviation = policy.rows() - (policy.initial_rows if reference == "demonstrated" else 0.0)
-        upsilon = control_cost(deviation.expand_as(epsilon), epsilon, visited, r)
+        upsilon = control_cost(deviation, epsilon, visited, r)
         found.append(Control(Visit(policy, visited), upsilon, epsilon))
     if not found:
         raise InvalidArgumentError(
