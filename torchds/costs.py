@@ -34,8 +34,8 @@ def via_points(x: Array, points: Array) -> Tensor:
     x = _moving("x", x)[..., 1:, None, :]
     points = beside("points", points, x, "(L, D)")
     axes = zip(x.transpose(-3, -2).unbind(-1), points.unsqueeze(-2).unbind(-1), strict=True)
-    squares = [(position - point).square() for position, point in axes]  # (..., L, T) of each axis
-    return functools.reduce(torch.add, squares).amin(-1).sum(-1)
+    squares = [(position - point).square_() for position, point in axes]  # (..., L, T) of each axis
+    return functools.reduce(Tensor.add_, squares).amin(-1).sum(-1)
 
 
 def goal(x: Array, target: Array) -> Tensor:

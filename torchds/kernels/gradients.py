@@ -160,7 +160,7 @@ def control(first, last, axes, experts, deviation, noise, weight, gating, inputs
     """
     D, K, O, n_steps = len(axes), len(experts), deviation.shape[1], gating.shape[1]
     F = K * (D + 1)
-    g, alike = np.empty(F), np.empty(O, np.bool_)
+    squares, alike = np.empty(D), np.empty(O, np.bool_)
     drifts, pushes, inverse = np.empty((O, F)), np.empty((O, F)), np.empty((O, F))
     for i in range(first, last):
         constant = 0.0
@@ -178,19 +178,17 @@ def control(first, last, axes, experts, deviation, noise, weight, gating, inputs
                     alike[o] = False
         for t in range(n_steps):
             total, size = constant, 0.0
-            for k in range(K):
-                for d in range(D):
-                    g[k * (D + 1) + d] = h[t, k] * x[t, d]
-                g[k * (D + 1) + D] = h[t, k]
+            for d in range(D):
+                squares[d] = x[t, d] * x[t, d]
             for o in range(O):
+                drift, push = 0.0, 0.0
                 if not alike[o]:
                     size = 0.0
-                    for f in range(F):
-                        size += inverse[o, f] * (g[f] * g[f])
-                drift, push = 0.0, 0.0
-                for f in range(F):
-                    drift += drifts[o, f] * g[f]
-                    push += pushes[o, f] * g[f]
+                for k in range(K):
+                    drift += expert(axes, drifts[o], k, h[t, k], x[t])
+                    push += expert(axes, pushes[o], k, h[t, k], x[t])
+                    if not alike[o]:
+                        size += expert(axes, inverse[o], k, h[t, k] * h[t, k], squares)
                 if size > 0:
                     total += (2.0 * drift + push) * push / size
             upsilon[i, t] = total

@@ -123,12 +123,13 @@ def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 
     )
     known = (known - known.mean(0)).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
     Z, z = tried.movedim(0, -2), candidates.movedim(0, -2)
-    squares = torch.cdist(Z, Z).square()  # (*batch, M, M)
+    squares = torch.cdist(Z, Z).square_()  # (*batch, M, M)
     scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(torch.finfo(Z.dtype).tiny)
     # Coordinates near the largest number have no distance; they count as far apart.
-    kernel = torch.exp(-0.5 * squares / scale).nan_to_num(nan=0.0)
+    kernel, across = (
+        distance.mul_(-0.5).div_(scale).exp_().nan_to_num_(nan=0.0) for distance in (squares, torch.cdist(z, Z).square_())
+    )  # (*batch, M, M) and (*batch, n, M)
     kernel.diagonal(dim1=-2, dim2=-1).add_(noise)
-    across = torch.exp(-0.5 * torch.cdist(z, Z).square() / scale).nan_to_num(nan=0.0)  # (*batch, n, M)
     weights = torch.cholesky_solve(known, torch.linalg.cholesky(kernel))
     return (across @ weights).squeeze(-1).movedim(-1, 0)
 
