@@ -289,3 +289,9 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
                     raise RuntimeError(f"shapes {[tuple(each) for each in shapes]} do not broadcast")
                 found[i] = shape[i]
     return tuple(found)
+
+
+def transformed(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """`matrix` `(*batch, P, P)` times each of `vectors` `(*lead, *batch, P)`: one product, not a matrix for each of `lead`."""
+    columns = vectors.reshape(-1, *matrix.shape[:-1]).movedim(0, -1)
+    return (matrix @ columns).movedim(-1, 0).reshape(vectors.shape)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from torchds.arrays import Array, beside, count, number, real, shown
+from torchds.arrays import Array, beside, count, number, real, shown, transformed
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration, name_parameters
 from torchds.exploration.homogeneous import Homogeneous, chi_mean
@@ -280,7 +280,7 @@ class TrajectorySpace(Exploration):
         """`matrix` `(*batch, P, P)` times what `parts` are, cut into parameters again."""
         given = {id(p): part for p, part in zip(parameters, parts, strict=True)}
         stacked = self.policy.pack(lambda p: given[id(p)])
-        cut = self.policy.split((matrix @ stacked.unsqueeze(-1)).squeeze(-1))
+        cut = self.policy.split(transformed(matrix, stacked))
         return [cut[name] for name in name_parameters(self.policy, parameters, type(self).__name__)]
 
     def state_dict(self) -> dict[str, Any]:

@@ -45,7 +45,13 @@ class Field(NamedTuple):
 
     def gate(self) -> tuple[Any, ...]:
         """The gating as arrays, all batches flat."""
-        return _flat(self.center, 1), _flat(self.factors, 3), _flat(self.offset, 1), _flat(self.log_scale, 1), self.limit
+        return (
+            _flat(self.center, 1),
+            _flat(self.factors, 3),
+            _flat(self.offset, 1),
+            _flat(self.log_scale, 1),
+            self.limit,
+        )
 
     def arrays(self) -> tuple[Any, ...]:
         """Rows and gating as arrays, all batches flat."""

@@ -127,7 +127,8 @@ def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 
     scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(torch.finfo(Z.dtype).tiny)
     # Coordinates near the largest number have no distance; they count as far apart.
     kernel, across = (
-        distance.mul_(-0.5).div_(scale).exp_().nan_to_num_(nan=0.0) for distance in (squares, torch.cdist(z, Z).square_())
+        distance.mul_(-0.5).div_(scale).exp_().nan_to_num_(nan=0.0)
+        for distance in (squares, torch.cdist(z, Z).square_())
     )  # (*batch, M, M) and (*batch, n, M)
     kernel.diagonal(dim1=-2, dim2=-1).add_(noise)
     weights = torch.cholesky_solve(known, torch.linalg.cholesky(kernel))

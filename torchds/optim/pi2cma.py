@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Unpack
 import torch
 from torch import Tensor
 
-from torchds.arrays import number
+from torchds.arrays import number, transformed
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.checkpoints import NOISE, Entry, Place, Shape, finite
@@ -106,7 +106,7 @@ class PI2CMA(PIBB):
         if "covariance" in known:
             root = torch.linalg.cholesky(known["covariance"])
             drawn = _stack(normals, root.ndim - 1)
-            normals = _cut((root @ drawn.unsqueeze(-1)).squeeze(-1), normals)
+            normals = _cut(transformed(root, drawn), normals)
         normals = [z if p.requires_grad else torch.zeros_like(z) for p, z in zip(group["params"], normals, strict=True)]
         if self.elite == "nominal":
             normals = [torch.cat([torch.zeros_like(z[:1]), z[1:]]) for z in normals]
