@@ -144,9 +144,10 @@ def fit_stable(
     noise = Noise((weight > 0).sum(-1).tolist())
 
     def losses(points: Tensor) -> Tensor:
+        A, P = model.slopes_and_metric()
         likelihood = objective == "likelihood"
-        each = -model.log_likelihood(points, v) if likelihood else _velocity_loss(v, model(points), direction)
-        return (weight * each).sum(-1) + RATE_WEIGHT * model.slowness(RATE)
+        each = -model.log_likelihood(points, v, A) if likelihood else _velocity_loss(v, model(points, A), direction)
+        return (weight * each).sum(-1) + RATE_WEIGHT * model.slowness(A, P, RATE)
 
     optimizer = torch.optim.Adam(model.parameters(), lr=lr, betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, lr, total_steps=n_steps, pct_start=0.2)

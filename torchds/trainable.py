@@ -83,14 +83,15 @@ class TrainableMixture(nn.Module):
     @property
     def A(self) -> Tensor:
         """`(B, K, D, D)` slopes."""
-        if self.stable:
-            return stable_matrices(self.factor, self.skew, self._metric_of_slopes(), margin=self.margin)
-        return self.slopes
+        return self.slopes_and_metric()[0]
 
-    def _metric_of_slopes(self) -> Tensor | None:
-        """P for each component; None for P = I, with which everything is the same and cheaper."""
+    def slopes_and_metric(self) -> tuple[Tensor, Tensor | None]:
+        """A `(B, K, D, D)` and P `(B, 1, D, D)`; None without a condition, and for P = I, which is the same and cheaper."""
+        if not self.stable:
+            return self.slopes, None
         P = None if self.euclidean else self.P
-        return None if P is None else P.unsqueeze(-3)
+        P = None if P is None else P.unsqueeze(-3)
+        return stable_matrices(self.factor, self.skew, P, margin=self.margin), P
 
     @property
     def priors(self) -> Tensor:
@@ -117,25 +118,24 @@ class TrainableMixture(nn.Module):
         coefficients = torch.cat([square, linear, constant.unsqueeze(-1)], -1)  # (B, K, D (D+3) / 2 + 1)
         return (features @ coefficients.mT).masked_fill(~self.mask.unsqueeze(-2), PADDING)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """The velocity `(B, N, D)` at `x` `(B, N, D)`."""
-        A = self.A
+    def forward(self, x: Tensor, A: Tensor) -> Tensor:
+        """The velocity `(B, N, D)` at `x` `(B, N, D)`, with the slopes `A`."""
         slope = torch.unflatten(self.log_weights(x).softmax(-1) @ A.flatten(-2), -1, A.shape[-2:])
         return (slope * x.unsqueeze(-2)).sum(-1)
 
-    def log_likelihood(self, x: Tensor, v: Tensor) -> Tensor:
+    def log_likelihood(self, x: Tensor, v: Tensor, A: Tensor) -> Tensor:
         """log p(x, v) of each sample up to a constant, `(B, N)`, with v ~ N(A_k x, the noise of k)."""
         root = _exp_diagonal(self.noise.triu())
-        z = torch.einsum("bkij,bnj->bnki", root, v) - torch.einsum("bkij,bnj->bnki", root @ self.A, x)
+        z = torch.einsum("bkij,bnj->bnki", root, v) - torch.einsum("bkij,bnj->bnki", root @ A, x)
         total = self.log_prior.masked_fill(~self.mask, PADDING).logsumexp(-1)[:, None, None]
         log_noise = _log_det(self.noise).unsqueeze(-2) - 0.5 * z.square().sum(-1)
         return (self.log_weights(x) - total + log_noise).logsumexp(-1)
 
-    def slowness(self, rate: float) -> Tensor:
+    def slowness(self, A: Tensor, P: Tensor | None, rate: float) -> Tensor:
         """The squared shortfall of the guaranteed rates below `rate`, mean over components, `(B,)`."""
         if not self.stable:
-            return self.slopes.new_zeros(len(self.slopes))
-        shortfall = (rate + largest_eigenvalue(self.A, self._metric_of_slopes())).clamp(min=0)
+            return A.new_zeros(len(A))
+        shortfall = (rate + largest_eigenvalue(A, P)).clamp(min=0)
         return (shortfall.square() * self.mask).sum(-1) / self.mask.sum(-1)
 
 

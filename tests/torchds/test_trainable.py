@@ -49,7 +49,7 @@ def test_the_start_is_the_mixture_with_a_floor(start, randn):
     assert_close(model.mean, start.means[..., :2])
     assert_close(model.covariances, start.covariances[..., :2, :2] + ridge)
     assert_close(model.A, A)
-    assert model.P is None and not model.slowness(10.0).any()
+    assert model.P is None and not model.slowness(*model.slopes_and_metric(), 10.0).any()
 
 
 def test_velocity_and_likelihood_are_sums_over_gaussians(start, randn):
@@ -64,8 +64,8 @@ def test_velocity_and_likelihood_are_sums_over_gaussians(start, randn):
             velocity, weight = velocity + density * (x[b] @ A[b, k].T), weight + density
             error = MultivariateNormal(x[b] @ A[b, k].T, noise[b, k])
             log_joint.append(density.squeeze(-1).log() + error.log_prob(v[b]))
-        assert_close(model(x)[b], velocity / weight)
-        expected, got = torch.stack(log_joint).logsumexp(0), model.log_likelihood(x, v)[b]
+        assert_close(model(x, model.A)[b], velocity / weight)
+        expected, got = torch.stack(log_joint).logsumexp(0), model.log_likelihood(x, v, model.A)[b]
         assert_close(got - got[0], expected - expected[0])  # up to a constant
 
 
@@ -80,7 +80,9 @@ def test_slopes_are_stable_wherever_the_parameters_go(start, metric, randn, lear
     assert (torch.linalg.eigvalsh(model.P) > 0).all() and (rates < -MARGIN).all()
     wanted = 3.0  # faster than some of them are
     short = (wanted + rates).clamp(min=0).square()
-    assert_close(model.slowness(wanted), torch.stack([short[0].mean(), short[1, :2].mean()]))
+    assert_close(
+        model.slowness(*model.slopes_and_metric(), wanted), torch.stack([short[0].mean(), short[1, :2].mean()])
+    )
 
 
 def test_slopes_that_are_stable_are_where_the_fit_starts(start, metric):
@@ -93,9 +95,9 @@ def test_padding_takes_no_part_and_learns_nothing(start, metric, randn):
     both = TrainableMixture(start, A, metric, margin=MARGIN)
     short = GaussianMixture(start.priors[1:, :2], start.means[1:, :2], start.covariances[1:, :2])
     alone = TrainableMixture(short, A[1:, :2], metric[1:], margin=MARGIN)
-    assert_close(both(x)[1:], alone(x[1:]))
-    assert_close(both.log_likelihood(x, v)[1:], alone.log_likelihood(x[1:], v[1:]))
-    (both(x).square().sum() + both.log_likelihood(x, v).sum()).backward()
+    assert_close(both(x, both.A)[1:], alone(x[1:], alone.A))
+    assert_close(both.log_likelihood(x, v, both.A)[1:], alone.log_likelihood(x[1:], v[1:], alone.A))
+    (both(x, both.A).square().sum() + both.log_likelihood(x, v, both.A).sum()).backward()
     for name, parameter in both.named_parameters():
         assert parameter.grad[0].any() and not parameter.grad[1, 2].any(), name
 
@@ -108,7 +110,7 @@ def test_gradients_are_those_of_finite_differences(start, metric, randn):
 
     def loss(*values):
         state = dict(zip(parameters, values, strict=True))
-        call = lambda x, v: (model(x) - v).square().sum() - model.log_likelihood(x, v).sum()  # noqa: E731
+        call = lambda x, v: (model(x, model.A) - v).square().sum() - model.log_likelihood(x, v, model.A).sum()  # noqa: E731
         return torch.func.functional_call(Called(model, call), {f"model.{k}": p for k, p in state.items()}, (x, v))
 
     free = tuple(p.detach().clone().requires_grad_() for name, p in parameters.items() if name != "log_prior")
