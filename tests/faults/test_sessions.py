@@ -61,9 +61,10 @@ def test_what_a_soft_arm_does_is_believed(seed, soft):
     assert names(executed(poses, stiffness, seed, soft), poses, stiffness) == set()
 
 
-def test_a_soft_arm_that_looks_turned_by_21_degrees_is_believed():
+@pytest.mark.parametrize("seed", [4360797, 38844])
+def test_a_soft_arm_that_looks_turned_by_21_degrees_or_exchanged_is_believed(seed):
     poses, stiffness = asked()
-    assert names(executed(poses, stiffness, 4360797, 0.078125), poses, stiffness) == set()
+    assert names(executed(poses, stiffness, seed, 0.078125), poses, stiffness) == set()
 
 
 def still(pose, force):

@@ -26,9 +26,10 @@ STILL = 0.1
 """Share of the reference's size below which a robot has not moved."""
 BETTER = 0.5
 """Another motion explains a recording if it leaves at most this share of the deviation."""
-EXCHANGED = 0.8
+EXCHANGED = 0.72
 """Recordings are in a wrong order if another one leaves at most this share. In simulation, at 75 to 700 N/m and with both
-explorations, a true exchange leaves 0.08 to 0.69, and the best other order of what was in order 0.91 and more."""
+explorations, a true exchange leaves 0.08 to 0.69, and the best other order of what was in order 0.91 and more; 0.745 where arms
+bend by as much as the references differ."""
 TURNED = 30.0
 """Degrees by which a frame has to be turned: what an arm as soft as 8 cm makes of a motion can look like 22°."""
 LARGE = 0.25
