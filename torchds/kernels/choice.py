@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import importlib.util
 import os
 from typing import Literal
 
@@ -17,6 +16,11 @@ from torchds.errors import InvalidArgumentError
 
 Backend = Literal["auto", "eager", "fused", "scan"]
 
+MISSING = {
+    "cpu": "there is no numba here, install it with: pip install 'torchds[fast]'",
+    "cuda": "there is no triton for this GPU here, install it with: pip install 'torchds[gpu]'",
+}
+
 
 class Unfit(Exception):
     """Why something cannot run in compiled code."""
@@ -24,14 +28,19 @@ class Unfit(Exception):
 
 def available() -> dict[str, bool]:
     """Which fused backends this machine has: "cpu" needs the package numba, "cuda" a GPU and the package triton."""
-    return {"cpu": _has_numba(), "cuda": torch.cuda.is_available() and importlib.util.find_spec("triton") is not None}
+    return {device: has(device) for device in ("cpu", "cuda")}
 
 
 @functools.cache
-def _has_numba() -> bool:
+def has(device: str) -> bool:
+    """Whether there are kernels for a type of device."""
+    if device not in ("cpu", "cuda") or (device == "cuda" and not torch.cuda.is_available()):
+        return False
     try:
-        importlib.import_module("torchds.kernels.cpu")
-    except ImportError:  # not installed, or not for this numpy
+        module = importlib.import_module(f"torchds.kernels.{device}")
+        if device == "cuda":
+            module.ready()
+    except (ImportError, RuntimeError):  # not installed, or not for this numpy; no C compiler for Triton
         return False
     return True
 
@@ -40,7 +49,7 @@ def wanted(backend: Backend) -> Literal["auto", "eager", "fused", "scan"]:
     """What `backend` means here and now; "auto" is "scan" while a program is compiled or exported.
 
     Raises:
-        InvalidArgumentError: an unknown backend, or one that cannot be had.
+        InvalidArgumentError: an unknown backend.
     """
     if torch.compiler.is_compiling():  # a kernel is no part of a graph
         return "scan" if backend == "auto" else backend
@@ -48,10 +57,8 @@ def wanted(backend: Backend) -> Literal["auto", "eager", "fused", "scan"]:
         backend = os.environ.get("TORCHDS_BACKEND", "auto")  # type: ignore[assignment]
     if backend not in ("auto", "eager", "fused", "scan"):
         raise InvalidArgumentError(f"backend has to be 'auto', 'eager', 'fused' or 'scan', got {backend!r}")
-    if backend == "auto" and not _has_numba():
+    if backend == "auto" and not has("cpu") and not has("cuda"):
         return "eager"
-    if backend == "fused" and not _has_numba():
-        raise cannot("there is no numba here, install it with: pip install 'torchds[fast]'")
     return backend
 
 

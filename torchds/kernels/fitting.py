@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torchds.kernels.choice import Unfit, wanted
+from torchds.kernels.choice import MISSING, Unfit, has, wanted
 from torchds.kernels.fused import Field
 from torchds.kernels.steps import ScalarStep, own
 
@@ -19,7 +19,7 @@ PRECISIONS = (torch.float64, torch.float32)
 
 
 def check(*tensors: Tensor | None) -> None:
-    """Refuse tensors that are not plain numbers in the memory of the CPU.
+    """Refuse tensors that are not plain numbers in the memory of one device that there are kernels for.
 
     Raises:
         Unfit: with the reason.
@@ -29,10 +29,12 @@ def check(*tensors: Tensor | None) -> None:
     if forward_ad._current_level >= 0:
         raise Unfit("forward-mode derivatives need the eager loop")
     given = [tensor for tensor in tensors if tensor is not None]
-    dtype = given[0].dtype
+    dtype, device = given[0].dtype, given[0].device
+    if not has(device.type):
+        raise Unfit(MISSING.get(device.type, f"there is no kernel for the device {device}"))
     for tensor in given:
-        if not tensor.is_cpu:
-            raise Unfit(f"there is no kernel for the device {tensor.device}")
+        if tensor.device != device:
+            raise Unfit(f"everything has to be on one device, got {device} and {tensor.device}")
         if tensor.dtype is not dtype or dtype not in PRECISIONS:
             raise Unfit("everything has to be float64, or everything float32")
         try:
@@ -49,8 +51,15 @@ def fusable(policy: Any, *tensors: Tensor) -> Field | None:
 
 
 def fits(*tensors: Tensor) -> bool:
-    """Whether "auto" means a kernel for these tensors, where nothing wants gradients."""
-    if wanted("auto") == "eager" or (torch.is_grad_enabled() and any(t.requires_grad for t in tensors)):
+    """Whether "auto" means a kernel of the CPU for these tensors, where nothing wants gradients.
+
+    On a GPU, what is no loop over time stays a few operations on tensors.
+    """
+    if (
+        wanted("auto") == "eager"
+        or not tensors[0].is_cpu
+        or (torch.is_grad_enabled() and any(t.requires_grad for t in tensors))
+    ):
         return False
     try:
         check(*tensors)

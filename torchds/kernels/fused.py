@@ -1,4 +1,4 @@
-"""Tensors in and out of the compiled loops: shapes, threads and gradients.
+"""Tensors in and out of the compiled loops of the CPU: shapes, threads and gradients.
 
 Stability: experimental.
 """
@@ -180,14 +180,16 @@ def _tensor(array: Any, lead: tuple[int, ...]) -> Tensor:
     return tensor if len(lead) == 1 else tensor.view(*lead, *array.shape[1:])
 
 
-def _each(values: Tensor, lead: tuple[int, ...], core: int = 1) -> Any:
-    """A tensor that broadcasts to `(*lead, *core)` as an array of which roll-out i uses entry i % len; `core` last axes."""
+def recurring(values: Tensor, lead: tuple[int, ...], core: int = 1) -> Tensor:
+    """A tensor that broadcasts to `(*lead, *core)` so that roll-out i uses entry i % (how many there are); `core` last axes."""
     while values.ndim > core and values.shape[0] == 1:
         values = values[0]
     own = tuple(values.shape[: values.ndim - core])
-    if lead[len(lead) - len(own) :] != own:
-        values = values.expand(*lead, *values.shape[len(own) :])
-    return _flat(values, core)
+    return values if lead[len(lead) - len(own) :] == own else values.expand(*lead, *values.shape[len(own) :])
+
+
+def _each(values: Tensor, lead: tuple[int, ...], core: int = 1) -> Any:
+    return _flat(recurring(values, lead, core), core)
 
 
 def _rests(resting: Tensor | None) -> Any:
