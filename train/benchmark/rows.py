@@ -12,11 +12,9 @@ import torch
 
 import tasks
 import torchds
-from tasks.digging import lwr
 from tasks.via_point import ViaPoint
 from torchds import GaussianMixture, GMRPolicy, rollout
-from torchds.cartesian import CartesianImpedance, PlaneReference
-from torchds.errors import LargestMixtureWarning, TorchdsError
+from torchds.errors import LargestMixtureWarning, MissingPackageError, TorchdsError
 from torchds.exploration import TrajectorySpace
 from train.learning.learner import Learner
 from train.options import LEARNERS, options_for
@@ -66,7 +64,7 @@ def rows(task: ViaPoint, policy: GMRPolicy, device: str, updates: int) -> Iterat
     with_rows = torch.no_grad()(policy.forward)
     yield Row("policy(x), one state", lambda: with_rows(x))
     if device == "cpu":
-        yield Row("CartesianImpedance, one arm of seven joints", _arm())
+        yield from _arm()
         yield from _fits()
 
 
@@ -84,14 +82,20 @@ def _fits() -> Iterator[Row]:
     yield Row("import torchds, a new process", lambda: subprocess.run(imports, check=True))
 
 
-def _arm() -> Callable[[], object]:
-    """One call of the controller, as in every step of the digging."""
+def _arm() -> Iterator[Row]:
+    """One call of the controller, as in every step of the digging; none without the packages of that."""
+    try:
+        from tasks.digging import lwr
+        from torchds.cartesian import CartesianImpedance, PlaneReference
+    except MissingPackageError:
+        return
     x, z, angle = (torch.tensor([value], dtype=torch.float64) for value in (0.55, 0.2, -0.3))
     q, zero = lwr.posture(x, z, angle), torch.zeros(1, 7, dtype=torch.float64)
     control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
     wanted = PlaneReference(torch.stack([x, z], -1), angle, zero[:, :2], zero[:, 0])
     mass = torch.eye(7, dtype=torch.float64)[None]
-    return lambda: torch.inference_mode()(control)(q, zero, mass, zero, wanted, 300.0)
+    call = torch.inference_mode()(control)
+    yield Row("CartesianImpedance, one arm of seven joints", lambda: call(q, zero, mass, zero, wanted, 300.0))
 
 
 def _counted(motion: torchds.Demonstrations) -> None:
