@@ -20,7 +20,7 @@ coverage: lint
 	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
 
 # The property tests of tests/faults with many cases and fresh seeds; prints a table of cases and failures.
-CASES ?= 6000
+CASES ?= 7500
 fuzz: $(VENV)/.ready
 	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
 
