@@ -56,8 +56,8 @@ def repeated(closure: Closure, parameters: Iterable[nn.Parameter], repeats: int)
         finally:
             for p, value in zip(parameters, center, strict=True):
                 p.data = value
-        for policy, features in visits:
-            report(policy, features[0])
+        for visit in visits:
+            report(visit.policy, visit.features[0])
         return costs.mean(0)
 
     return averaged
