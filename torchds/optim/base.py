@@ -200,8 +200,12 @@ class PolicySearch(Drawing):
             raise
 
     def _tried(self) -> Any:
+        return self._by_name({p: p + self.state[p]["noise"] for p in self.parameters})
+
+    def _by_name(self, values: Mapping[nn.Parameter, Tensor]) -> Any:
+        """A dict by name where the optimizer was made from named parameters, else a list in the order of the parameters."""
         named = [
-            (name, p + self.state[p]["noise"])
+            (name, values[p])
             for group in self.param_groups
             for name, p in zip(group.get("param_names", [None] * len(group["params"])), group["params"], strict=True)
         ]

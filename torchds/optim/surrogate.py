@@ -1,4 +1,4 @@
-"""PI^BB that thinks before it tries: noise is preselected by what similar roll-outs cost.
+"""PI^BB that thinks before it tries, and after: what roll-outs will cost and have cost is judged by similar ones.
 
 Stability: stable.
 """
@@ -6,28 +6,64 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchds.arrays import count
 from torchds.errors import InvalidArgumentError
 from torchds.exploration.base import Exploration
 from torchds.optim.checkpoints import Entry
 from torchds.optim.evaluation import Control
-from torchds.optim.functional import predict_costs
+from torchds.optim.functional import cost_weights, failures
 from torchds.optim.options import SharedOptions
 from torchds.optim.pibb import PIBB
+from torchds.optim.regression import Regression
+
+
+class Recommendation(NamedTuple):
+    """The policy that the roll-outs so far speak for.
+
+    Attributes:
+        parameters: `(*shape)` each, by name or in order as `ask` gives them.
+        cost: `(*batch)` what it costs without noise, as far as is known.
+        standard_error: `(*batch)` of that.
+    """
+
+    parameters: Any
+    cost: Tensor
+    standard_error: Tensor
+
+
+NOISY = 0.05
+"""The noise of costs that counts, relative to the largest standard deviation of what policies were found to differ by."""
+
+ELITENESS = 30.0  # of predicted costs: there are many, and their range is that of all of them
+
+_KNOWN = Entry(
+    "(*batch)",
+    lambda shape, at: shape == at.shape[: len(shape)],
+    of="search",
+    beside="tried_cost",
+    holds=lambda value: bool((value >= 0).all()),
+)
 
 
 class SurrogatePIBB(PIBB):
-    r"""`PIBB` that draws many candidates for each update and tries the N of them that look cheapest.
+    r"""`PIBB` that draws many candidates for each update, tries the N that look cheapest, and does not believe every cost.
 
-    What a candidate will cost is predicted from the last roll-outs, by Gaussian process regression on the distance between
-    policies (`functional.predict_costs`). The distance is that of the exploration, `Exploration.measure`: with
-    `TrajectorySpace` it says how differently two policies move, so that the regression needs few roll-outs. The update is the
-    one of `PIBB`, from the costs that the N roll-outs really had. The first update has nothing to predict from and is plain.
+    What policies cost is predicted from the last roll-outs, by Gaussian process regression that finds out how noisy the costs
+    are (`Regression`). Policies are as far from each other as `Exploration.measure` says: with `TrajectorySpace` as far as
+    they move differently, so that the regression needs few roll-outs. Of the candidates those N are tried that are predicted to
+    be cheapest. The first update has nothing to predict from and is plain.
+
+    Where costs are noisy, by more than a twentieth of what policies have differed by (`NOISY`), two things change for the run:
+
+    * Costs are not believed as measured. The update weighs the N roll-outs and as many candidates again as there were by what
+      they are predicted to cost, exp(−30 (Ŝ − min Ŝ) / (max Ŝ − min Ŝ)).
+    * The exploration does not decay: policies of small steps differ by less than the noise. Elsewhere a scheduler says how far
+      it does.
 
     Args:
         params: as for `PIBB`.
@@ -69,6 +105,7 @@ class SurrogatePIBB(PIBB):
             beside="tried",
             holds=lambda value: bool(value.isfinite().any()),
         ),
+        **dict.fromkeys(("noise_ratio", "cost_noise", "cost_signal"), _KNOWN),
     }
     shared_defaults: ClassVar[SharedOptions] = {**PIBB.shared_defaults, "temperature": "capped", "elite": "nominal"}
 
@@ -80,10 +117,12 @@ class SurrogatePIBB(PIBB):
         lr: float = 1.0,
         *,
         n_candidates: int = 300,
-        memory: int = 80,
+        memory: int = 200,
         **shared: Unpack[SharedOptions],
     ) -> None:
         self.n_candidates, self.memory = n_candidates, memory
+        self._beyond: list[list[Tensor]] = []  # candidates that are only imagined, per group and parameter
+        self._belief: Tensor | None = None  # what they and the N roll-outs weigh
         super().__init__(params, exploration, n_rollouts, lr, **shared)
         self._check_own()
 
@@ -99,21 +138,52 @@ class SurrogatePIBB(PIBB):
         super()._check()
         self._check_own()
 
-    def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
-        known = self.state[self.param_groups[0]["params"][0]]
-        if normals is not None or "tried_cost" not in known:
-            return super()._propose(normals)
-        costs = known["tried_cost"]  # (M, *batch)
-        drawn, coordinates = [], []
+    @property
+    def _known(self) -> dict[str, Tensor]:
+        """What is remembered of all parameters together."""
+        known: dict[str, Tensor] = self.state[self._first]
+        return known
+
+    @property
+    def noisy(self) -> Tensor | None:
+        """`(*batch)` whether costs were found to be noisy; None before the first update."""
+        known = self._known
+        return known["cost_noise"] > NOISY * known["cost_signal"] if "cost_noise" in known else None
+
+    def _candidates(self) -> list[list[Tensor]]:
+        """Noise `(n, *shape)` per group and parameter, which does not decay where costs are noisy."""
+        found = []
         for group, exploration, unit in zip(
             self.param_groups, self.explorations, self._normals(self.n_candidates), strict=True
         ):
-            noise, params = self._shape(group, exploration, unit), group["params"]
-            drawn.append(noise)
-            both = [torch.cat([self.state[p]["tried"] - p, e]) for p, e in zip(params, noise, strict=True)]
-            coordinates += [x.reshape(*x.shape[: costs.ndim], -1) for x in exploration.measure(params, both)]
-        tried, untried = torch.cat(coordinates, -1).tensor_split([len(costs)])
-        best = predict_costs(tried, costs, untried).topk(self.n_rollouts, dim=0, largest=False).indices
+            wide, lr = self.noisy, float(group["lr"])
+            if wide is not None and 0 < lr < group.get("initial_lr", lr):
+                factor = torch.where(wide, group["initial_lr"] / lr, 1.0)
+                unit = [z * factor.reshape(*wide.shape, *(1,) * (z.ndim - 1 - wide.ndim)) for z in unit]
+            found.append(self._shape(group, exploration, unit))
+        return found
+
+    def _coordinates(self, noise: Sequence[Sequence[Tensor]]) -> Tensor:
+        """`(M, *batch, F)` where each policy is, by its distance from the parameters `(M, *shape)` per group and parameter."""
+        n = self._known["tried_cost"].ndim
+        parts = [
+            x.reshape(*x.shape[:n], -1)
+            for group, exploration, epsilons in zip(self.param_groups, self.explorations, noise, strict=True)
+            for x in exploration.measure(group["params"], epsilons)
+        ]
+        return torch.cat(parts, -1)
+
+    def _tried_from_here(self) -> list[list[Tensor]]:
+        return [[self.state[p]["tried"] - p for p in group["params"]] for group in self.param_groups]
+
+    def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
+        known = self._known
+        if normals is not None or "tried_cost" not in known:
+            return super()._propose(normals)
+        drawn = self._candidates()
+        regression = Regression(self._coordinates(self._tried_from_here()), known["tried_cost"], known["noise_ratio"])
+        predicted = regression.predict(self._coordinates(drawn))
+        best = predicted.topk(self.n_rollouts, dim=0, largest=False).indices
         best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
         return [
             [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
@@ -123,13 +193,78 @@ class SurrogatePIBB(PIBB):
     def _update(
         self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
     ) -> Tensor:
-        for p, epsilon in zip(group["params"], noise, strict=True):
-            self._keep(p, "tried", p + epsilon)
         if group is self.param_groups[0]:
-            self._keep(group["params"][0], "tried_cost", cost)
-        return super()._update(group, noise, cost, steps, control)
+            self._judge(cost)
+        wide, belief = self.noisy, self._belief
+        if wide is None or belief is None:
+            return super()._update(group, noise, cost, steps, control)
+        measured = cost_weights(cost, float(group["eliteness"]), group["temperature"])
+        weights = torch.where(wide, belief, torch.cat([measured, torch.zeros_like(belief[len(cost) :])]))
+        index = next(i for i, other in enumerate(self.param_groups) if other is group)
+        for p, tried, beyond in zip(group["params"], noise, self._beyond[index], strict=True):
+            if p.requires_grad:
+                epsilon = torch.cat([tried, beyond])
+                p.add_(
+                    (weights.to(epsilon).reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim)) * epsilon).sum(
+                        0
+                    )
+                )
+        return weights[: len(cost)]
 
-    def _keep(self, p: Tensor, name: str, values: Tensor) -> None:
+    def _judge(self, cost: Tensor) -> None:
+        """Remember what was tried, find out how noisy costs `(N, *batch)` are, and weigh by predictions where they are."""
+        tried = [[self.state[p]["noise"] for p in group["params"]] for group in self.param_groups]
+        for p in self.parameters:
+            self._keep(p, "tried", p + self.state[p]["noise"])
+        known = self._known
+        self._keep(self._first, "tried_cost", cost)
+        regression = Regression(self._coordinates(self._tried_from_here()), known["tried_cost"])
+        known["noise_ratio"], known["cost_noise"] = regression.ratio, regression.noise
+        known["cost_signal"] = torch.maximum(known.get("cost_signal", regression.signal), regression.signal)
+        self._belief, wide = None, self.noisy
+        if wide is not None and wide.any():
+            self._beyond = self._candidates()
+            every = [
+                [torch.cat(both) for both in zip(*parts, strict=True)]
+                for parts in zip(tried, self._beyond, strict=True)
+            ]
+            predicted = regression.predict(self._coordinates(every))
+            predicted[: len(cost)].masked_fill_(failures(cost), torch.inf)
+            self._belief = cost_weights(predicted, ELITENESS)
+
+    def _keep(self, p: nn.Parameter, name: str, values: Tensor) -> None:
         """Remember the last of all `values` `(N, ...)`."""
         state = self.state[p]
         state[name] = torch.cat([state.get(name, values[:0]), values])[-self.memory :]
+
+    @torch.no_grad()
+    def recommend(self) -> Recommendation:
+        """The policy to deploy: of the present one and those remembered, the one that is predicted to be cheapest.
+
+        Raises:
+            InvalidArgumentError: nothing was tried yet.
+        """
+        known = self._known
+        if "tried_cost" not in known:
+            raise InvalidArgumentError("recommend() needs roll-outs to judge by; make a step first")
+        from_here = [
+            [torch.cat([e, torch.zeros_like(e[:1])]) for e in epsilons] for epsilons in self._tried_from_here()
+        ]
+        coordinates = self._coordinates(from_here)
+        regression = Regression(coordinates[:-1], known["tried_cost"], known["noise_ratio"])
+        cost, best = regression.predict(coordinates).min(0, keepdim=True)
+        error = regression.standard_error(coordinates).take_along_dim(best, 0)
+        chosen = {
+            p: p + e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0)[0]
+            for group, epsilons in zip(self.param_groups, from_here, strict=True)
+            for p, e in zip(group["params"], epsilons, strict=True)
+        }
+        return Recommendation(self._by_name(chosen), cost[0], error[0])
+
+    def scalars(self) -> dict[str, float]:
+        """Those of every search, and how noisy costs were found to be and how far policies are from each other."""
+        found, known = super().scalars(), self._known
+        if "cost_noise" in known:
+            found["surrogate/noise"] = float(known["cost_noise"].mean())
+            found["surrogate/noise_ratio"] = float((known["cost_noise"] / known["cost_signal"]).mean())
+        return found
