@@ -17,8 +17,8 @@ RATIOS = (1e-3, 1e-2, 0.1, 0.5, 2.0, 8.0)
 """The variances of the noise that are compared, relative to that of what policies differ by. The first stands for none."""
 
 RECENT = 100  # policies that the noise is estimated from
-BEST = 0.1  # costs count relative to the quantile of this order,
-CAP = 10.0  # up to so many times the distance from there to the median
+GOOD = 0.1  # the quantile of noisy costs that stands for a good policy
+CAP, NOISY_CAP = 3.0, 10.0  # of costs over that of a good policy, where the median is 1
 
 
 class Regression:
@@ -31,12 +31,13 @@ class Regression:
     and function is the one of `RATIOS` under which the last costs are most likely (Eq. 2.30), their common scale in closed
     form: a = Sᵀ C⁻¹ S / M.
 
-    Costs count relative to the best tenth and are capped at ten times the median, so that roll-outs that went astray do not
-    decide; failed ones are as bad as the cap.
+    So that roll-outs that went astray do not decide, costs over the cheapest are capped at three times the median; where they
+    are noisy, costs over the best tenth at ten times. Failed roll-outs are as bad as the cap.
 
     Args:
         tried: `(M, *batch, F)` coordinates Z in which equal distances mean equally different roll-outs.
         costs: `(M, *batch)` of these, at least one of them finite.
+        noisy: `(*batch)` whether costs are known to be noisy; None for none.
         ratio: `(*batch)` r, where it is known already.
 
     Attributes:
@@ -49,14 +50,13 @@ class Regression:
         InvalidArgumentError: no arrays of numbers, or shapes that do not fit.
     """
 
-    def __init__(self, tried: Array, costs: Array, ratio: Tensor | None = None) -> None:
+    def __init__(self, tried: Array, costs: Array, noisy: Tensor | None = None, ratio: Tensor | None = None) -> None:
         Z = real("tried", tried, "(M, *batch, F)")
         S = beside("costs", costs, Z[..., 0], "(M, *batch)", last=Z.ndim - 1)
         tiny = torch.finfo(Z.dtype).tiny
-        self._unit = (
-            S.masked_fill(failures(S), 0.0).abs().amax(0).clamp_min(tiny)
-        )  # the range may be beyond the largest number
-        above, low = _above(S / self._unit)
+        # Costs of size one: the range of the largest numbers is beyond them.
+        self._unit = S.masked_fill(failures(S), 0.0).abs().amax(0).clamp_min(tiny)
+        above, low = _above(S / self._unit, noisy)
         mean = above.mean(0)
         self._offset = mean + low
         y = (above - mean).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
@@ -83,7 +83,8 @@ class Regression:
         """`(n, *batch)` the standard deviation of what `predict` says (Eq. 2.24) [unit of the costs]."""
         known = torch.linalg.solve_triangular(self._root, self._across(candidates).mT, upper=False)
         unknown = (1 - known.square().sum(-2)).clamp_min(0.0)
-        return self._unit * (unknown * self._variance.unsqueeze(-1)).sqrt().movedim(-1, 0)
+        error: Tensor = self._unit * (unknown * self._variance.unsqueeze(-1)).sqrt().movedim(-1, 0)
+        return error
 
     def _across(self, candidates: Array) -> Tensor:
         z = beside("candidates", candidates, self._Z.movedim(-2, 0)[:1], "(n, *batch, F)")
@@ -94,13 +95,14 @@ class Regression:
         return squares.mul_(-0.5).div_(self._scale).exp_().nan_to_num_(nan=0.0)
 
 
-def _above(costs: Tensor) -> tuple[Tensor, Tensor]:
-    """Costs `(M, *batch)` over the quantile `BEST`, capped, and that quantile."""
+def _above(costs: Tensor, noisy: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Costs `(M, *batch)` over that of a good policy, capped, and what that one costs."""
     failed = failures(costs)
     valid = costs.masked_fill(failed, torch.nan)
-    low, median = valid.nanquantile(BEST, 0), valid.nanquantile(0.5, 0)
-    top = CAP * (median - low)
-    return torch.minimum((costs - low).masked_fill(failed, torch.inf), top), low
+    low, median, cap = costs.masked_fill(failed, torch.inf).amin(0), valid.nanquantile(0.5, 0), torch.tensor(CAP)
+    if noisy is not None:
+        low, cap = torch.where(noisy, valid.nanquantile(GOOD, 0), low), torch.where(noisy, NOISY_CAP, CAP)
+    return torch.minimum((costs - low).masked_fill(failed, torch.inf), cap.to(low) * (median - low)), low
 
 
 def _most_likely(kernel: Tensor, y: Tensor) -> Tensor:

@@ -5,6 +5,8 @@ Stability: stable.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar, NamedTuple, Unpack
 
@@ -19,7 +21,7 @@ from torchds.optim.evaluation import Control
 from torchds.optim.functional import cost_weights, failures
 from torchds.optim.options import SharedOptions
 from torchds.optim.pibb import PIBB
-from torchds.optim.regression import Regression
+from torchds.optim.regression import RATIOS, Regression
 
 
 class Recommendation(NamedTuple):
@@ -39,6 +41,12 @@ class Recommendation(NamedTuple):
 NOISY = 0.05
 """The noise of costs that counts, relative to the largest standard deviation of what policies were found to differ by."""
 
+SURE = 0.0627
+"""|z| of a unit normal that is exceeded 19 times out of 20: two costs of one policy bound the noise from above by it."""
+
+ENOUGH = 50  # roll-outs that tell noise from what policies differ by, where no policy was tried twice
+FEW = 80  # roll-outs that predict well where costs are exact
+
 ELITENESS = 30.0  # of predicted costs: there are many, and their range is that of all of them
 
 _KNOWN = Entry(
@@ -46,7 +54,7 @@ _KNOWN = Entry(
     lambda shape, at: shape == at.shape[: len(shape)],
     of="search",
     beside="tried_cost",
-    holds=lambda value: bool((value >= 0).all()),
+    holds=lambda value: bool((value >= 0).all()),  # a bound may be infinite
 )
 
 
@@ -56,7 +64,8 @@ class SurrogatePIBB(PIBB):
     What policies cost is predicted from the last roll-outs, by Gaussian process regression that finds out how noisy the costs
     are (`Regression`). Policies are as far from each other as `Exploration.measure` says: with `TrajectorySpace` as far as
     they move differently, so that the regression needs few roll-outs. Of the candidates those N are tried that are predicted to
-    be cheapest. The first update has nothing to predict from and is plain.
+    be cheapest. The first update has nothing to predict from and is plain, but that with elite="nominal" it tries the policy
+    itself twice: what the two costs differ by tells noise from costs that are rough, as they are near a wall.
 
     Where costs are noisy, by more than a twentieth of what policies have differed by (`NOISY`), two things change for the run:
 
@@ -105,7 +114,7 @@ class SurrogatePIBB(PIBB):
             beside="tried",
             holds=lambda value: bool(value.isfinite().any()),
         ),
-        **dict.fromkeys(("noise_ratio", "cost_noise", "cost_signal"), _KNOWN),
+        **dict.fromkeys(("noise_ratio", "noise_bound", "cost_noise", "cost_signal"), _KNOWN),
     }
     shared_defaults: ClassVar[SharedOptions] = {**PIBB.shared_defaults, "temperature": "capped", "elite": "nominal"}
 
@@ -117,7 +126,7 @@ class SurrogatePIBB(PIBB):
         lr: float = 1.0,
         *,
         n_candidates: int = 300,
-        memory: int = 200,
+        memory: int = 300,
         **shared: Unpack[SharedOptions],
     ) -> None:
         self.n_candidates, self.memory = n_candidates, memory
@@ -148,7 +157,10 @@ class SurrogatePIBB(PIBB):
     def noisy(self) -> Tensor | None:
         """`(*batch)` whether costs were found to be noisy; None before the first update."""
         known = self._known
-        return known["cost_noise"] > NOISY * known["cost_signal"] if "cost_noise" in known else None
+        if "cost_noise" not in known:
+            return None
+        judged = known["noise_bound"].isfinite() | (len(known["tried_cost"]) >= ENOUGH)
+        return (known["cost_noise"] > NOISY * known["cost_signal"]) & judged
 
     def _candidates(self) -> list[list[Tensor]]:
         """Noise `(n, *shape)` per group and parameter, which does not decay where costs are noisy."""
@@ -173,15 +185,26 @@ class SurrogatePIBB(PIBB):
         ]
         return torch.cat(parts, -1)
 
+    def _regression(self, ratio: Tensor | None = None) -> Regression:
+        """On all that is remembered; on the last `FEW`, which are nearer, where no run is noisy."""
+        wide = self.noisy
+        last = slice(None) if wide is not None and wide.any() else slice(-FEW, None)
+        coordinates = self._coordinates([[e[last] for e in each] for each in self._tried_from_here()])
+        return Regression(coordinates, self._known["tried_cost"][last], wide, ratio)
+
     def _tried_from_here(self) -> list[list[Tensor]]:
         return [[self.state[p]["tried"] - p for p in group["params"]] for group in self.param_groups]
 
     def _propose(self, normals: Sequence[Sequence[Tensor]] | None) -> list[list[Tensor]]:
         known = self._known
         if normals is not None or "tried_cost" not in known:
-            return super()._propose(normals)
+            first = super()._propose(normals)
+            if normals is None and self.elite == "nominal" and self.n_rollouts > 2:
+                for epsilon in itertools.chain(*first):
+                    epsilon[1] = 0.0  # beside the elite
+            return first
         drawn = self._candidates()
-        regression = Regression(self._coordinates(self._tried_from_here()), known["tried_cost"], known["noise_ratio"])
+        regression = self._regression(known["noise_ratio"])
         predicted = regression.predict(self._coordinates(drawn))
         best = predicted.topk(self.n_rollouts, dim=0, largest=False).indices
         best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
@@ -204,11 +227,8 @@ class SurrogatePIBB(PIBB):
         for p, tried, beyond in zip(group["params"], noise, self._beyond[index], strict=True):
             if p.requires_grad:
                 epsilon = torch.cat([tried, beyond])
-                p.add_(
-                    (weights.to(epsilon).reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim)) * epsilon).sum(
-                        0
-                    )
-                )
+                each = weights.to(epsilon).reshape(*weights.shape, *(1,) * (epsilon.ndim - weights.ndim))
+                p.add_((each * epsilon).sum(0))
         return weights[: len(cost)]
 
     def _judge(self, cost: Tensor) -> None:
@@ -218,10 +238,17 @@ class SurrogatePIBB(PIBB):
             self._keep(p, "tried", p + self.state[p]["noise"])
         known = self._known
         self._keep(self._first, "tried_cost", cost)
-        regression = Regression(self._coordinates(self._tried_from_here()), known["tried_cost"])
-        known["noise_ratio"], known["cost_noise"] = regression.ratio, regression.noise
+        if "noise_bound" not in known:
+            twice = len(cost) > 1 and not any(bool(e[:2].any()) for e in itertools.chain(*tried))
+            apart = (cost[0] - cost[1]).abs() if twice else torch.full_like(cost[0], torch.nan)
+            known["noise_bound"] = torch.where(apart.isfinite(), apart / (math.sqrt(2) * SURE), torch.inf)
+        regression = self._regression()
+        known["noise_ratio"] = regression.ratio
+        known["cost_noise"] = torch.minimum(regression.noise, known["noise_bound"])
         known["cost_signal"] = torch.maximum(known.get("cost_signal", regression.signal), regression.signal)
         self._belief, wide = None, self.noisy
+        if wide is not None:
+            known["noise_ratio"] = torch.where(wide, regression.ratio, RATIOS[0])
         if wide is not None and wide.any():
             self._beyond = self._candidates()
             every = [
@@ -251,7 +278,7 @@ class SurrogatePIBB(PIBB):
             [torch.cat([e, torch.zeros_like(e[:1])]) for e in epsilons] for epsilons in self._tried_from_here()
         ]
         coordinates = self._coordinates(from_here)
-        regression = Regression(coordinates[:-1], known["tried_cost"], known["noise_ratio"])
+        regression = Regression(coordinates[:-1], known["tried_cost"], self.noisy, known["noise_ratio"])
         cost, best = regression.predict(coordinates).min(0, keepdim=True)
         error = regression.standard_error(coordinates).take_along_dim(best, 0)
         chosen = {
@@ -262,7 +289,7 @@ class SurrogatePIBB(PIBB):
         return Recommendation(self._by_name(chosen), cost[0], error[0])
 
     def scalars(self) -> dict[str, float]:
-        """Those of every search, and how noisy costs were found to be and how far policies are from each other."""
+        """Those of every search, and how noisy costs are: in their unit, and relative to what policies differ by."""
         found, known = super().scalars(), self._known
         if "cost_noise" in known:
             found["surrogate/noise"] = float(known["cost_noise"].mean())
