@@ -23,6 +23,7 @@ from torchds.forces import ConstantForce, DivergentForce
 from torchds.impedance import ImpedanceControlled
 from torchds.mixture import joint_samples
 from torchds.optim import functional
+from torchds.optim.regression import Regression
 from torchds.plants import PointMass
 from torchds.sensitivity import sensitivity, stiffness_sensitivity
 from torchds.stops import Walls
@@ -49,6 +50,7 @@ TURNING = nn.functional.normalize(
 )
 MOTION = torchds.rollout(STIFF, X0, T, DT)
 START = torchds.fit_mixtures(DEMOS, 1, goal=GOAL)
+REGRESSION = Regression(randn(6, 3), randn(6))
 
 
 class OneJoint:
@@ -237,10 +239,12 @@ CASES = {
     "optim.functional.cost_weights": (functional.cost_weights, {"costs": randn(4, 2)}),
     "optim.functional.relative_costs": (functional.relative_costs, {"costs": randn(4, 2)}),
     "optim.functional.informative": (functional.informative, {"costs": randn(4, 2)}),
-    "optim.functional.predict_costs": (
-        functional.predict_costs,
-        {"tried": randn(6, 3), "costs": randn(6), "candidates": randn(4, 3)},
+    "optim.regression.Regression": (
+        lambda **given: Regression(**given).predict(randn(4, 3)),
+        {"tried": randn(6, 3), "costs": randn(6)},
     ),
+    "optim.regression.Regression.predict": (REGRESSION.predict, {"candidates": randn(4, 3)}),
+    "optim.regression.Regression.standard_error": (REGRESSION.standard_error, {"candidates": randn(4, 3)}),
     "optim.functional.cost_to_go": (functional.cost_to_go, {"costs": randn(4, T), "upsilon": randn(4, T)}),
     "optim.functional.time_averaged_update": (
         functional.time_averaged_update,

@@ -22,7 +22,8 @@ from torchds.errors import AllRolloutsFailedError, EqualCostsWarning, InvalidArg
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable, TrajectorySpace
 from torchds.optim import PI2, PI2CMA, PIBB, SurrogatePIBB
 from torchds.optim.evaluation import controls
-from torchds.optim.functional import cost_weights, predict_costs, relative_costs
+from torchds.optim.functional import cost_weights, relative_costs
+from torchds.optim.regression import Regression
 
 N, T, DT = 4, 5, 0.1
 SEARCHES = {"PIBB": PIBB, "PI2": PI2, "PI2CMA": PI2CMA, "SurrogatePIBB": SurrogatePIBB}
@@ -355,7 +356,7 @@ def test_costs_whose_range_overflows_still_update(temperature, dtype):
 
 def test_coordinates_near_the_largest_number_are_predicted():
     tried = torch.tensor([[1e200, 0.0], [-1e200, 1.0], [3.0, 4.0]], dtype=torch.float64)
-    found = predict_costs(tried, torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64), tried + 1)
+    found = Regression(tried, torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)).predict(tried + 1)
     assert found.isfinite().all()
 
 

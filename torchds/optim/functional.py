@@ -98,43 +98,6 @@ def failures(costs: Tensor) -> Tensor:
     return costs * 0 != 0
 
 
-def predict_costs(tried: Array, costs: Array, candidates: Array, noise: float = 1e-3) -> Tensor:
-    r"""What untried policies will cost, judged by similar ones: the mean of Gaussian process regression.
-
-    .. math:: \hat S(z) = k(z, Z) (k(Z, Z) + noise\, I)^{-1} S, \qquad k(z, z') = \exp(-|z - z'|^2 / (2 ℓ^2)),
-
-    with ℓ² the median squared distance between the policies tried, so that the unit of the coordinates does not matter
-    (Eq. 2.23 of Rasmussen and Williams, Gaussian Processes for Machine Learning).
-    S are the relative costs under the capped temperature, minus their mean; failed roll-outs are as bad as the cap.
-
-    Args:
-        tried: `(M, *batch, F)` coordinates Z in which equal distances mean equally different roll-outs.
-        costs: `(M, *batch)` of these, at least one of them finite.
-        candidates: `(n, *batch, F)` the coordinates of those not tried.
-        noise: relative variance of what the coordinates do not explain.
-
-    Returns:
-        `(n, *batch)` predictions, between about 0 (the best so far) and 1 less their mean.
-    """
-    tried = real("tried", tried, "(M, *batch, F)")
-    candidates = beside("candidates", candidates, tried[:1], "(n, *batch, F)")
-    known = relative_costs(beside("costs", costs, tried[..., 0], "(M, *batch)", last=tried.ndim - 1), "capped").clamp(
-        max=1.0
-    )
-    known = (known - known.mean(0)).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
-    Z, z = tried.movedim(0, -2), candidates.movedim(0, -2)
-    squares = torch.cdist(Z, Z).square_()  # (*batch, M, M)
-    scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(torch.finfo(Z.dtype).tiny)
-    # Coordinates near the largest number have no distance; they count as far apart.
-    kernel, across = (
-        distance.mul_(-0.5).div_(scale).exp_().nan_to_num_(nan=0.0)
-        for distance in (squares, torch.cdist(z, Z).square_())
-    )  # (*batch, M, M) and (*batch, n, M)
-    kernel.diagonal(dim1=-2, dim2=-1).add_(noise)
-    weights = torch.cholesky_solve(known, torch.linalg.cholesky(kernel))
-    return (across @ weights).squeeze(-1).movedim(-1, 0)
-
-
 def cost_to_go(costs: Array, upsilon: Array) -> Tensor:
     """S_t = Σ_{j ≥ t} q_j + ½ Σ_{j > t} Υ_j: what a roll-out still costs from step t on, as PI² weighs it.
 

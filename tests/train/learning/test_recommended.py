@@ -25,6 +25,22 @@ def test_via_points(shape, pibb, end):
     assert cost[500 // N] <= end
 
 
+@pytest.mark.parametrize(
+    ("shape", "noise", "end"), [("N", 0.1, 0.45), ("P", 0.1, 0.2), ("N", 0.5, 1.8), ("P", 0.5, 1.0)]
+)
+@pytest.mark.slow
+def test_noisy_costs(shape, noise, end):
+    """Normals with a standard deviation of `noise` initial costs; the medians are of noise-free trials, after 500 roll-outs."""
+    chosen = options_for(
+        "via_point", shape=shape, runs=RUNS, optimizer="surrogate", exploration="trajectory", cost_noise=noise
+    )
+    learner = Learner(chosen).learn()
+    costs = np.array(learner.history.cost)
+    assert np.median(costs[-1]) <= end
+    found = learner.searcher.scalars()["surrogate/noise"]
+    assert noise / 2 < found / costs[0, 0] < 2 * noise
+
+
 @pytest.mark.slow
 def test_a_budget_of_four_hundred_roll_outs_does_what_a_thousand_did():
     """PI^BB ends at 0.355 after 1000 roll-outs. The tests of the force fields hold it to the same there."""
