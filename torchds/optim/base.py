@@ -194,13 +194,10 @@ class PolicySearch(Drawing):
         try:
             with without_autocast(self._first):
                 self._draw(normals)
-            return self._tried()
+            return self._by_name({p: p + self.state[p]["noise"] for p in self.parameters})
         except BaseException:
             before.restore()
             raise
-
-    def _tried(self) -> Any:
-        return self._by_name({p: p + self.state[p]["noise"] for p in self.parameters})
 
     def _by_name(self, values: Mapping[nn.Parameter, Tensor]) -> Any:
         """A dict by name where the optimizer was made from named parameters, else a list in the order of the parameters."""

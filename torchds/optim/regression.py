@@ -2,7 +2,7 @@
 
 Letters: `M` policies tried, `F` coordinates, `n` candidates, `*batch` runs.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -126,7 +126,7 @@ class SurrogatePIBB(PIBB):
         lr: float = 1.0,
         *,
         n_candidates: int = 300,
-        memory: int = 300,
+        memory: int = 200,
         **shared: Unpack[SharedOptions],
     ) -> None:
         self.n_candidates, self.memory = n_candidates, memory

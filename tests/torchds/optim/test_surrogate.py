@@ -149,7 +149,7 @@ def test_exploration_does_not_decay_where_costs_are_noisy():
     for noise in (0.0, 1.0):
         optim, _ = learned(noise, n_candidates=8)
         optim.param_groups[0].update(initial_lr=1.0, lr=0.1)  # as a scheduler does
-        center = optim.param_groups[0]["params"][1]
+        center = optim.param_groups[0]["params"][1].detach()
         spread[noise] = float((optim.ask()[1] - center)[1:].std())
     assert 8 < spread[1.0] / spread[0.0] < 12
 
