@@ -62,7 +62,7 @@ class Regression:
         y = (above - mean).movedim(0, -1).unsqueeze(-1)  # (*batch, M, 1)
         self._Z = Z.movedim(0, -2)
         squares = torch.cdist(self._Z, self._Z).square_()  # (*batch, M, M)
-        self._scale = squares.flatten(-2).median(-1).values[..., None, None].clamp_min(tiny)
+        self._scale = _typical(squares.flatten(-2))[..., None, None].clamp_min(tiny)
         self.length = self._scale[..., 0, 0].sqrt()
         kernel = self._kernel(squares)
         self.ratio = _most_likely(kernel[..., -RECENT:, -RECENT:], y[..., -RECENT:, :]) if ratio is None else ratio
@@ -93,6 +93,12 @@ class Regression:
     def _kernel(self, squares: Tensor) -> Tensor:
         """k of squared distances, in place; coordinates near the largest number have none, and count as far apart."""
         return squares.mul_(-0.5).div_(self._scale).exp_().nan_to_num_(nan=0.0)
+
+
+def _typical(squares: Tensor) -> Tensor:
+    """The median `(*batch)`; the mean where that is zero, as it is of few policies of which one was tried twice."""
+    median = squares.median(-1).values
+    return torch.where(median > 0, median, squares.mean(-1))
 
 
 def _above(costs: Tensor, noisy: Tensor | None) -> tuple[Tensor, Tensor]:

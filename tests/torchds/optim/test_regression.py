@@ -92,6 +92,14 @@ def test_failed_roll_outs_are_as_bad_as_the_cap():
         assert np.corrcoef(found[:, run], known[:, run])[0, 1] > 0.95
 
 
+def test_three_policies_of_which_two_are_one_have_a_distance():
+    tried = draw(3)
+    tried[1] = tried[0]
+    found = Regression(tried, torch.tensor([[1.0], [1.1], [3.0]]).expand(3, 3))
+    assert_close(found.length.square(), 4 / 9 * (tried[2] - tried[0]).square().sum(-1))
+    assert found.predict(tried)[2].amin() > found.predict(tried)[:2].amax()
+
+
 def test_equal_costs_are_predicted_to_be_equal():
     found = Regression(draw(15), torch.full((15, 3), 2.0)).predict(draw(4, seed=1))
     assert_close(found, torch.full((4, 3), 2.0, dtype=torch.float64))
