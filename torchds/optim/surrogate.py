@@ -204,7 +204,7 @@ class SurrogatePIBB(PIBB):
                     epsilon[1] = 0.0  # beside the elite
             return first
         drawn = self._candidates()
-        regression = self._regression(known["noise_ratio"])
+        regression = self._regression(known.get("noise_ratio"))
         predicted = regression.predict(self._coordinates(drawn))
         best = predicted.topk(self.n_rollouts, dim=0, largest=False).indices
         best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
@@ -278,7 +278,7 @@ class SurrogatePIBB(PIBB):
             [torch.cat([e, torch.zeros_like(e[:1])]) for e in epsilons] for epsilons in self._tried_from_here()
         ]
         coordinates = self._coordinates(from_here)
-        regression = Regression(coordinates[:-1], known["tried_cost"], self.noisy, known["noise_ratio"])
+        regression = Regression(coordinates[:-1], known["tried_cost"], self.noisy, known.get("noise_ratio"))
         cost, best = regression.predict(coordinates).min(0, keepdim=True)
         error = regression.standard_error(coordinates).take_along_dim(best, 0)
         chosen = {
