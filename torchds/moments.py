@@ -16,7 +16,7 @@ from torch import Tensor
 from torchds.devices import Movable
 from torchds.plants import Command, Plant
 from torchds.stops import StopCondition
-from torchds.visits import Gated
+from torchds.visits import Gated, whole
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Rollout(Movable):
     @functools.cached_property
     def features(self) -> Tensor:
         """`(*batch, *points, T, K (D+1))` h_k(x) [x, 1] at the inputs."""
-        return self.visited.features if isinstance(self.visited, Gated) else self.visited
+        return whole(self.visited)
 
     @property
     def gating(self) -> Tensor:

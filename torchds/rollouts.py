@@ -129,10 +129,8 @@ def rollout(
                 raise kernels.cannot(reason) from None
     if path is None:
         with without_autocast(x0):
-            step, start = (
-                _step(policy, rows, dt, stop, plant, shift, feedback),
-                begin(x0.expand(*lead, D), O, stop, plant),
-            )
+            step = _step(policy, rows, dt, stop, plant, shift, feedback)
+            start = begin(x0.expand(*lead, D), O, stop, plant)
             path = (scanned if wanted == "scan" else _eager)(step, start, n_steps, dt)
     visits.report(policy, path.visited)
     return path

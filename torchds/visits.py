@@ -65,6 +65,11 @@ class Gated(NamedTuple):
         return (self.gating.unsqueeze(-1) * F.pad(self.inputs, (0, 1), value=1.0).unsqueeze(-2)).flatten(-2)
 
 
+def whole(visited: Tensor | Gated) -> Tensor:
+    """The features `(*batch, *points, T, F)`, whichever way they were kept."""
+    return visited.features if isinstance(visited, Gated) else visited
+
+
 class Visit(NamedTuple):
     """One roll-out's report: the policy, and the features `(*batch, *points, T, F)` that it saw, as such or `Gated`."""
 
@@ -74,7 +79,7 @@ class Visit(NamedTuple):
     @property
     def features(self) -> Tensor:
         """`(*batch, *points, T, F)`."""
-        return self.visited.features if isinstance(self.visited, Gated) else self.visited
+        return whole(self.visited)
 
 
 listener: ContextVar[list[Visit] | None] = ContextVar("torchds_visits", default=None)

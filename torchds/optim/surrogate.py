@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar, NamedTuple, Unpack
+from typing import Any, ClassVar, NamedTuple, Unpack, cast
 
 import torch
 from torch import Tensor, nn
@@ -164,11 +164,11 @@ class SurrogatePIBB(PIBB):
 
     def _candidates(self) -> list[list[Tensor]]:
         """Noise `(n, *shape)` per group and parameter, which does not decay where costs are noisy."""
-        found = []
+        found, wide = [], self.noisy
         for group, exploration, unit in zip(
             self.param_groups, self.explorations, self._normals(self.n_candidates), strict=True
         ):
-            wide, lr = self.noisy, float(group["lr"])
+            lr = float(group["lr"])
             if wide is not None and 0 < lr < group.get("initial_lr", lr):
                 factor = torch.where(wide, group["initial_lr"] / lr, 1.0)
                 unit = [z * factor.reshape(*wide.shape, *(1,) * (z.ndim - 1 - wide.ndim)) for z in unit]
@@ -242,14 +242,17 @@ class SurrogatePIBB(PIBB):
             twice = len(cost) > 1 and not any(bool(e[:2].any()) for e in itertools.chain(*tried))
             apart = (cost[0] - cost[1]).abs() if twice else torch.full_like(cost[0], torch.nan)
             known["noise_bound"] = torch.where(apart.isfinite(), apart / (math.sqrt(2) * SURE), torch.inf)
+        self._belief, bound = None, known["noise_bound"]
+        if not bound.any():  # costs are exact, and there is nothing to find out
+            known["noise_ratio"] = torch.full_like(bound, RATIOS[0])
+            known["cost_noise"] = known["cost_signal"] = torch.zeros_like(bound)
+            return
         regression = self._regression()
-        known["noise_ratio"] = regression.ratio
-        known["cost_noise"] = torch.minimum(regression.noise, known["noise_bound"])
+        known["cost_noise"] = torch.minimum(regression.noise, bound)
         known["cost_signal"] = torch.maximum(known.get("cost_signal", regression.signal), regression.signal)
-        self._belief, wide = None, self.noisy
-        if wide is not None:
-            known["noise_ratio"] = torch.where(wide, regression.ratio, RATIOS[0])
-        if wide is not None and wide.any():
+        wide = cast(Tensor, self.noisy)
+        known["noise_ratio"] = torch.where(wide, regression.ratio, RATIOS[0])
+        if wide.any():
             self._beyond = self._candidates()
             every = [
                 [torch.cat(both) for both in zip(*parts, strict=True)]
@@ -293,5 +296,5 @@ class SurrogatePIBB(PIBB):
         found, known = super().scalars(), self._known
         if "cost_noise" in known:
             found["surrogate/noise"] = float(known["cost_noise"].mean())
-            found["surrogate/noise_ratio"] = float((known["cost_noise"] / known["cost_signal"]).mean())
+            found["surrogate/noise_ratio"] = float((known["cost_noise"] / known["cost_signal"]).nan_to_num(0.0).mean())
         return found
