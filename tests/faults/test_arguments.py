@@ -301,7 +301,7 @@ INSIDE = {
     "policy.GMRPolicy.field", "policy.GMRPolicy.outputs", "policy_file.completed", "policy_file.write",
     "preparation.gradient", "moments.Rollout", "moments.advance", "moments.begin", "moments.record",
     "starts.fit_batch", "stops.Bounds.__call__", "stops.Walls.__call__", "testing.check_plant", "testing.check_policy",
-    "testing.check_stop",
+    "testing.check_stop", "visits.whole",
 }  # fmt: skip
 ELSEWHERE = {"optim.base.PolicySearch.ask", "visits.report"}  # tests/faults/test_optimizer.py
 
