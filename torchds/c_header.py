@@ -1,16 +1,14 @@
-"""A policy as a header for C and C++: no allocation, no dependency but math.h, doubles throughout.
+"""A policy as a header for C and C++: no allocation, no dependency but math.h, doubles throughout. `torchds.export` writes it.
 
-Stability: stable.
+Stability: experimental.
 """
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 
-from torchds import files
 from torchds.control.controller import arrays_of
 from torchds.control.plan import plan
 from torchds.errors import InvalidArgumentError
@@ -80,22 +78,20 @@ static inline void {name}_step(double *x, double dt, double *y)
 """
 
 
-def write(policy: GMRPolicy, path: str | Path, name: str = "") -> None:
-    """Write `NAME_evaluate(x, y)`, `NAME_step(x, dt, y)` and the sizes to a header.
+def header(policy: GMRPolicy, name: str) -> bytes:
+    """`NAME_evaluate(x, y)`, `NAME_step(x, dt, y)` and the sizes, as the text of a header.
 
     Args:
         policy: without a batch; it is taken in double precision.
-        path: of the header.
-        name: what the functions begin with; the name of the file by default.
+        name: what the functions begin with; what is no letter or digit becomes _.
 
     Raises:
         InvalidArgumentError: a batch of policies, or a name that is none in C.
-        FileError: the file cannot be written.
     """
-    name = name or re.sub(r"\W", "_", Path(path).stem)
+    given, name = name, re.sub(r"\W", "_", name, flags=re.ASCII)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InvalidArgumentError(
-            f"name has to be letters, digits and _, beginning with a letter, got {name!r}; give name="
+            f"the functions of a header have its name, which has to begin with a letter, got {given!r}"
         )
     made = plan(arrays_of(policy), 1.0)
     K, D, O, Q = made.sizes
@@ -118,7 +114,7 @@ def write(policy: GMRPolicy, path: str | Path, name: str = "") -> None:
         log_scale=_numbers(made.log_scale[used]),
         rows=_numbers(made.rows.reshape(O + Q, K, D + 1)[:, used]),
     )
-    files.write_atomically(path, lambda stream: stream.write(text.encode()))
+    return text.encode()
 
 
 def _about(policy: GMRPolicy) -> str:

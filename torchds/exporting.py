@@ -1,4 +1,4 @@
-"""Policies as files of other programs: ONNX, packages of compiled code, and programs that torch opens without this library.
+"""Policies as files of other programs: ONNX, packages of compiled code, headers for C, and programs of torch alone.
 
 Stability: stable.
 """
@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchds import c_header
 from torchds.errors import InvalidArgumentError, MissingPackageError, UnknownNameError
 from torchds.files import write_atomically
 from torchds.policy import GMRPolicy
@@ -27,7 +28,7 @@ from torchds.rollouts import rollout
 if TYPE_CHECKING:
     from torch.export import ExportedProgram
 
-Format = Literal["onnx", "aoti", "torch"]
+Format = Literal["onnx", "aoti", "torch", "c"]
 
 
 class _Field(nn.Module):
@@ -74,11 +75,12 @@ def export(
         dt: time step [s].
         format: "onnx" for ONNX Runtime and others (extra "export"). "aoti" for machine code of this machine that
             `torch._inductor.aoti_load_package` opens, from Python or C++; it needs a C++ compiler, and a motion takes one start
-            only, n = 1. "torch" for a program that `torch.export.load` opens.
+            only, n = 1. "torch" for a program that `torch.export.load` opens. "c" for a header of C99 and C++, the field of
+            one x in doubles, with functions `NAME_evaluate(x, y)` and `NAME_step(x, dt, y)` for a file NAME.h.
 
     Raises:
         UnknownNameError: the format.
-        InvalidArgumentError: a batch of policies, or one of `n_steps` and `dt` without the other.
+        InvalidArgumentError: a batch of policies, one of `n_steps` and `dt` without the other, or a motion as "c".
         MissingPackageError: "onnx" without the extra "export".
 
     Example:
@@ -101,7 +103,14 @@ def export(
         raise InvalidArgumentError(
             f"n_steps and dt have to be given together, for a motion, or not at all, for the field; got {n_steps} and {dt}"
         )
-    writers: dict[Format, Callable[[ExportedProgram], bytes]] = {"onnx": _onnx, "aoti": _aoti, "torch": _torch}
+    if format == "c":
+        if n_steps is not None:
+            raise InvalidArgumentError(
+                'format="c" writes the field, and NAME_step, which integrates it; leave n_steps and dt out'
+            )
+        header = c_header.header(policy, Path(path).stem)
+        return write_atomically(Path(path), lambda stream: stream.write(header))
+    writers: dict[str, Callable[[ExportedProgram], bytes]] = {"onnx": _onnx, "aoti": _aoti, "torch": _torch}
     single = copy.deepcopy(policy).requires_grad_(False)
     program = _Field(single) if n_steps is None or dt is None else _Motion(single, n_steps, dt)
     n = 1 if format == "aoti" and n_steps is not None else 2

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 import torchds
-from torchds import c_header
 from torchds.errors import InvalidArgumentError
 
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
@@ -48,7 +47,7 @@ def compiled(folder, language):
 @pytest.mark.slow
 def test_it_is_the_policy_in_a_thousand_states(random_policy, randn, tmp_path, language, size):
     policy = random_policy(**size, moved=True)
-    c_header.write(policy, tmp_path / "motion.h")
+    torchds.export(policy, tmp_path / "motion.h", format="c")
     x = 3 * randn(1000, policy.input_dim)
     done = subprocess.run([compiled(tmp_path, language)], input=x.numpy().tobytes(), capture_output=True, check=True)
     O, Q, D = policy.output_dim, policy.stiffness_dim, policy.input_dim
@@ -63,22 +62,24 @@ def test_components_without_a_prior_are_left_out(random_policy, tmp_path):
     padded = torchds.GMRPolicy(
         torch.tensor([0.5, 0.5, 0.0]), policy.means, policy.covariances, policy.A.detach(), policy.b.detach()
     )
-    c_header.write(padded, tmp_path / "motion.h")
+    torchds.export(padded, tmp_path / "motion.h", format="c")
     assert "log_scale[2]" in (tmp_path / "motion.h").read_text()
 
 
 def test_what_is_known_stands_in_the_comment_and_cannot_end_it(random_policy, tmp_path):
     policy = random_policy()
     policy.info = policy.info._replace(names=("x", "*/ ü"), units="m", dt=0.01, goal=torch.ones(2))
-    c_header.write(policy, tmp_path / "my motion-1.h")
+    torchds.export(policy, tmp_path / "my motion-1.h", format="c")
     text = (tmp_path / "my motion-1.h").read_text()
     assert "inputs x, ? ?; in m; time step 0.01 s; goal [1.0, 1.0]" in text
     assert "void my_motion_1_step(" in text and text.isascii()
 
 
-def test_batches_and_names_that_are_none_are_refused(random_policy, tmp_path):
-    with pytest.raises(InvalidArgumentError, match=r"a batch of \(2,\)"):
-        c_header.write(random_policy(batch=(2,)), tmp_path / "motion.h")
-    with pytest.raises(InvalidArgumentError, match="beginning with a letter, got '1st'; give name="):
-        c_header.write(random_policy(), tmp_path / "1st.h")
-    c_header.write(random_policy(), tmp_path / "1st.h", name="first")
+def test_batches_names_that_are_none_and_motions_are_refused(random_policy, tmp_path):
+    with pytest.raises(InvalidArgumentError, match=r"one policy, got a batch \(2,\)"):
+        torchds.export(random_policy(batch=(2,)), tmp_path / "motion.h", format="c")
+    with pytest.raises(InvalidArgumentError, match="has to begin with a letter, got '1st'"):
+        torchds.export(random_policy(), tmp_path / "1st.h", format="c")
+    with pytest.raises(InvalidArgumentError, match="NAME_step, which integrates it; leave n_steps and dt out"):
+        torchds.export(random_policy(), tmp_path / "motion.h", 10, 0.1, format="c")
+    assert not list(tmp_path.iterdir())

@@ -1,18 +1,24 @@
-"""How long a policy takes in a control loop: `python -m train latency`."""
+"""How long a policy takes in a control loop, in every form in which it leaves torch: `python -m train latency`."""
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import importlib.util
+import shutil
+import subprocess
+import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from torchds import Controller, GMRPolicy
+from torchds import Controller, GMRPolicy, export
 from train.folder import versions
 from train.tables import markdown
 
@@ -72,5 +78,39 @@ def forms(policy: GMRPolicy) -> Iterator[tuple[str, Callable[[], Any]]]:
         controller = Controller(policy, 1e-3, feedback=True, compiled=compiled)
         controller.reset(x)
         yield f"`Controller`, {name}, feedback", functools.partial(controller.step, x)
+    with tempfile.TemporaryDirectory() as folder:
+        yield from exported(policy, Path(folder))
     state = torch.ones(policy.input_dim, dtype=torch.float64)
     yield "`policy(x)`, torch without gradients", torch.no_grad()(functools.partial(policy, state))
+
+
+def exported(policy: GMRPolicy, folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """The programs that `torchds.export` writes, at one state and called from Python."""
+    x = np.ones(policy.input_dim)
+    if shutil.which("gcc"):
+        export(policy, folder / "motion.h", format="c")
+        (folder / "motion.c").write_text(
+            '#include "motion.h"\nvoid evaluate(const double *x, double *y) { motion_evaluate(x, y); }\n'
+        )
+        build = ["gcc", "-O2", "-shared", "-fPIC", "motion.c", "-o", "motion.so", "-lm"]
+        subprocess.run(build, cwd=folder, check=True)
+        y = np.empty(policy.output_dim + policy.stiffness_dim)
+        pointers = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (x, y)]
+        evaluate = ctypes.CDLL(str(folder / "motion.so")).evaluate
+        yield '`export(format="c")`, through ctypes', lambda: (evaluate(*pointers), y)[1:]
+    if all(importlib.util.find_spec(package) for package in ("onnxscript", "onnxruntime")):
+        import onnxruntime
+
+        export(policy, folder / "policy.onnx")
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        session = onnxruntime.InferenceSession(str(folder / "policy.onnx"), options)
+        given = {session.get_inputs()[0].name: x[None]}
+        yield '`export(format="onnx")`, ONNX Runtime', lambda: session.run(None, given)
+    if shutil.which("g++"):
+        export(policy, folder / "policy.pt2", format="aoti")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of torch about itself
+            package = torch._inductor.aoti_load_package(str(folder / "policy.pt2"))
+        state = torch.from_numpy(x)[None]
+        yield '`export(format="aoti")`, AOTInductor', torch.no_grad()(lambda: package(state))
