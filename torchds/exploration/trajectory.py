@@ -129,6 +129,7 @@ class TrajectorySpace(Exploration):
         self._age = 0
         self._factor: Tensor | None = None
         self._felt: Tensor | None = None
+        self._metric: Tensor | None = None  # the root of what is felt, once it was asked for
 
     @classmethod
     def relative(
@@ -211,7 +212,7 @@ class TrajectorySpace(Exploration):
         if policy.stiffness_dim:
             rows.append(stiffness_sensitivity(policy, path, J).flatten(n_batch, -2) / self.stiffness_spread)
         felt = torch.cat(rows, -2)
-        self._felt = felt.mT @ felt / n  # JᵀJ/(T spread²)
+        self._felt, self._metric = felt.mT @ felt / n, None  # JᵀJ/(T spread²)
         chart = self._chart()
         metric = chart.mT @ self._felt @ chart
         good = metric.isfinite().all(-1).all(-1, keepdim=True)  # (*batch, 1)
@@ -269,12 +270,9 @@ class TrajectorySpace(Exploration):
         """
         if self._felt is None:
             self.refresh_now()
-        felt = cast(Tensor, self._felt)
-        good = felt.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
-        identity = torch.eye(felt.shape[-1], dtype=felt.dtype, device=felt.device)
-        values, vectors = torch.linalg.eigh(torch.where(good, felt, identity))
-        root = (vectors * values.clamp_min(0.0).sqrt().unsqueeze(-2)) @ vectors.mT
-        return self._through(root, parameters, changes)
+        if self._metric is None:
+            self._metric = _root(cast(Tensor, self._felt))
+        return self._through(self._metric, parameters, changes)
 
     def _through(self, matrix: Tensor, parameters: Sequence[nn.Parameter], parts: Sequence[Tensor]) -> list[Tensor]:
         """`matrix` `(*batch, P, P)` times what `parts` are, cut into parameters again."""
@@ -311,4 +309,13 @@ class TrajectorySpace(Exploration):
             raise InvalidArgumentError(
                 f"factor and felt of TrajectorySpace have to be {self.policy.A.dtype}, both or none"
             )
-        self._age, self._factor, self._felt = age, state["factor"], state["felt"]
+        self._age, self._factor, self._felt, self._metric = age, state["factor"], state["felt"], None
+
+
+def _root(felt: Tensor) -> Tensor:
+    """The symmetric root `(*batch, P, P)`; the identity where a matrix is not finite."""
+    good = felt.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
+    identity = torch.eye(felt.shape[-1], dtype=felt.dtype, device=felt.device)
+    values, vectors = torch.linalg.eigh(torch.where(good, felt, identity))
+    root: Tensor = (vectors * values.clamp_min(0.0).sqrt().unsqueeze(-2)) @ vectors.mT
+    return root

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import Array, beside, real
-from torchds.optim.functional import failures
+from torchds.optim.functional import failures, quantile
 
 RATIOS = (1e-3, 1e-2, 0.1, 0.5, 2.0, 8.0)
 """The variances of the noise that are compared, relative to that of what policies differ by. The first stands for none."""
@@ -64,7 +64,7 @@ class Regression:
         squares = torch.cdist(self._Z, self._Z).square_()  # (*batch, M, M)
         self._scale = _typical(squares.flatten(-2))[..., None, None].clamp_min(tiny)
         self.length = self._scale[..., 0, 0].sqrt()
-        kernel = self._kernel(squares)
+        kernel = squares.mul_(-0.5).div_(self._scale).exp_().nan_to_num_(nan=0.0)
         self.ratio = _most_likely(kernel[..., -RECENT:, -RECENT:], y[..., -RECENT:, :]) if ratio is None else ratio
         kernel.diagonal(dim1=-2, dim2=-1).add_(self.ratio.unsqueeze(-1))
         self._root = torch.linalg.cholesky(kernel)
@@ -87,12 +87,17 @@ class Regression:
         return error
 
     def _across(self, candidates: Array) -> Tensor:
-        z = beside("candidates", candidates, self._Z.movedim(-2, 0)[:1], "(n, *batch, F)")
-        return self._kernel(torch.cdist(z.movedim(0, -2), self._Z).square_())
-
-    def _kernel(self, squares: Tensor) -> Tensor:
-        """k of squared distances, in place; coordinates near the largest number have none, and count as far apart."""
-        return squares.mul_(-0.5).div_(self._scale).exp_().nan_to_num_(nan=0.0)
+        """k(z, Z) `(*batch, n, M)`; coordinates near the largest number have no distance, and count as far apart."""
+        z = beside("candidates", candidates, self._Z.movedim(-2, 0)[:1], "(n, *batch, F)").movedim(0, -2)
+        center, inverse = self._Z.mean(-2, keepdim=True), self._scale.rsqrt()
+        z, Z = (z - center) * inverse, (self._Z - center) * inverse
+        # |z − Z|² = |z|² + |Z|² − 2 z·Z, times −1/2, in one array: distances would be roots that are squared again.
+        squares = z.square().sum(-1, keepdim=True) + Z.square().sum(-1).unsqueeze(-2)
+        n, M, F = *squares.shape[-2:], z.shape[-1]
+        flat = squares.reshape(-1, n, M).baddbmm_(
+            z.reshape(-1, n, F), Z.expand(*z.shape[:-2], M, F).reshape(-1, M, F).mT, beta=-0.5
+        )
+        return flat.exp_().nan_to_num_(nan=0.0).reshape(squares.shape)
 
 
 def _typical(squares: Tensor) -> Tensor:
@@ -105,9 +110,9 @@ def _above(costs: Tensor, noisy: Tensor | None) -> tuple[Tensor, Tensor]:
     """Costs `(M, *batch)` over that of a good policy, capped, and what that one costs."""
     failed = failures(costs)
     valid = costs.masked_fill(failed, torch.nan)
-    low, median, cap = costs.masked_fill(failed, torch.inf).amin(0), valid.nanquantile(0.5, 0), torch.tensor(CAP)
+    low, median, cap = costs.masked_fill(failed, torch.inf).amin(0), quantile(valid, 0.5), torch.tensor(CAP)
     if noisy is not None:
-        low, cap = torch.where(noisy, valid.nanquantile(GOOD, 0), low), torch.where(noisy, NOISY_CAP, CAP)
+        low, cap = torch.where(noisy, quantile(valid, GOOD), low), torch.where(noisy, NOISY_CAP, CAP)
     return torch.minimum((costs - low).masked_fill(failed, torch.inf), cap.to(low) * (median - low)), low
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchds.errors import InvalidArgumentError
-from torchds.optim.functional import cost_weights
+from torchds.optim.functional import cost_weights, quantile
 
 TEMPERATURES = ["range", "median", "capped"]
 
@@ -140,3 +140,12 @@ def test_a_cost_near_the_largest_number_does_not_overflow(dtype):
 def test_an_unknown_temperature_is_refused():
     with pytest.raises(InvalidArgumentError, match="temperature has to be 'range', 'median' or 'capped', got 'mean'"):
         cost_weights(torch.zeros(2), temperature="mean")
+
+
+@pytest.mark.parametrize("shape", [(1,), (10,), (80, 3)])
+@pytest.mark.parametrize("q", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("missing", [0, 1])
+def test_quantiles_are_those_of_numpy_without_what_is_missing(shape, q, missing):
+    values = torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    values = torch.cat([values, values.new_full((missing, *shape[1:]), torch.nan)])
+    np.testing.assert_allclose(quantile(values, q), np.nanquantile(values, q, axis=0), rtol=1e-14)
