@@ -74,6 +74,7 @@ class Task(ABC):
         feedback: whether the policy sees the plant; see `torchds.rollout`.
         stop: what ends it early; None for nothing.
         cpu_only: whether trials cannot be made on a GPU.
+        chance: what the trials draw their noise from; None for trials without any, of which costs are compared.
         place: device and dtype that `to` has brought everything to; None where it was not asked to.
     """
 
@@ -95,6 +96,7 @@ class Task(ABC):
     plant: Plant | None = field(default=None, init=False)
     feedback: bool = field(default=False, init=False)
     stop: StopCondition | None = field(default=None, init=False)
+    chance: torch.Generator | None = field(default=None, init=False)
     place: tuple[Device, torch.dtype | None] = field(default=(None, None), init=False)
 
     def __init_subclass__(cls) -> None:
@@ -191,7 +193,11 @@ class Task(ABC):
 
     def rollout(self, policy: GMRPolicy) -> Rollout:
         """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
-        return rollout(policy, *self.motion(), stop=self.stop, plant=self.plant, feedback=self.feedback)
+        return rollout(policy, *self.motion(), stop=self.stop, plant=self.tried(policy), feedback=self.feedback)
+
+    def tried(self, policy: GMRPolicy) -> Plant | None:
+        """The plant of one trial; a task whose trials are noisy draws the noise from `chance`, where there is one."""
+        return self.plant
 
     def cost(self, path: Rollout) -> Tensor:
         """The cost of a trial `(*batch)`, without the control cost, which an optimizer adds."""

@@ -106,7 +106,8 @@ class Trials:
             raise InvalidArgumentError(f"all {self.n_steps} steps are made; call reset()")
         now, O = self.now, self.policy.output_dim
         a = actions.to(self.x0).view(self.action_shape)[:, self.reference_of].view(*now.x.shape[:-1], -1)
-        x = seen(now) if self.task.feedback else now.x
+        t, task = self.t * self.dt, self.task
+        x = seen(now, task.plant, t, self.dt) if task.feedback else now.x
         features = self.policy.features(x)
         y = self.policy.outputs(features, self.policy.rows())
         v, stiffness = y[..., :O] + self.speed * a[..., :O], None
@@ -115,7 +116,6 @@ class Trials:
             self.stiffness.append(stiffness)
         self.features.append(features)
         self.inputs.append(x)
-        t, task = self.t * self.dt, self.task
         self.moments.append(advance(now, v, stiffness, t, self.dt, task.stop, task.plant, task.feedback))
         distances = self.distances()
         self.nearest = distances if self.t == 1 else torch.minimum(self.nearest, distances)  # the start does not count

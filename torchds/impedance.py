@@ -12,9 +12,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchds.arrays import Array, beside, number, real
+from torchds.arrays import Array, beside, broadcast_shape, number, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.devices import Movable
+from torchds.disturbances import Disturbance
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
 from torchds.passive import PassiveControlled
@@ -41,6 +42,7 @@ class ImpedanceControlled(Movable):
             for none.
         rows: for each of the D axes, which of the policy's stiffness rows it follows, e.g. (0, 0) for an isotropic
             stiffness in two dimensions; None for one to one, or the only row for all axes.
+        disturbance: what the controller measures wrongly, and how the point mass is pushed; None for a plant without noise.
 
     Raises:
         InvalidArgumentError: an unknown form, bounds that are no interval of numbers ≥ 0, a negative constant, a rate
@@ -58,6 +60,7 @@ class ImpedanceControlled(Movable):
         high: float = float("inf"),
         max_rate: float | None = None,
         rows: Sequence[int] | None = None,
+        disturbance: Disturbance | None = None,
     ) -> None:
         if form not in ("implicit", "explicit"):
             raise InvalidArgumentError(f"form has to be 'implicit' or 'explicit', got {form!r}")
@@ -75,6 +78,7 @@ class ImpedanceControlled(Movable):
         self.low, self.high = low, high
         self.max_rate = max_rate
         self.rows = rows
+        self.disturbance = disturbance
 
     def reset(self, x0: Tensor) -> PointMassState:
         """At rest at `x0`."""
@@ -88,16 +92,23 @@ class ImpedanceControlled(Movable):
             step = self.max_rate * dt
             s = state.stiffness + (s - state.stiffness).clamp(-step, step)
         D = 2 * (s * m).sqrt()
-        force = self.plant.external(command.t, state)
+        measured, speed, force = state.x, state.v, self.plant.external(command.t, state)
+        if self.disturbance is not None:
+            chance = self.disturbance.at(command.t, dt)
+            measured, speed, force = measured + chance.position, speed + chance.velocity, force + chance.force
         if self.form == "explicit":
-            u = s * (command.x - state.x) + D * (command.v - state.v)
+            u = s * (command.x - measured) + D * (command.v - speed)
             a = (u + force - d * state.v) / m
         else:
             # x_t = x + v_t dt and v_t = v + a dt in Eq. 33, solved for a.
-            u = s * (command.x_before - state.x - dt * state.v) + D * (command.v_before - state.v)
+            u = s * (command.x_before - measured - dt * state.v) + D * (command.v_before - speed)
             a = (u + force - d * state.v) / (m + s * dt * dt + D * dt)
         x, v = self.plant.advance(state, a, dt)
         return PointMassState(x, v, a, s, force)
+
+    def measured(self, state: PointMassState, t: float, dt: float) -> Tensor:
+        """Where the point mass seems to be `(*batch, *points, D)`, which is what a policy with feedback sees."""
+        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt).position
 
     def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
         """The same for compiled code; None with a force that has no scalar step."""
@@ -116,7 +127,9 @@ class ImpedanceControlled(Movable):
         each = beside("stiffness", followed, axes, "a number or (D,)", last=0)
         each = each.expand(*each.shape[:-1], n_axes)  # the constant of each axis, or the row that it follows
         common = each.new_tensor([float(number) for number in numbers]).expand(*each.shape[:-1], len(numbers))
-        return ScalarStep(IMPEDANCE, torch.cat([common, each], -1), force)
+        parts = [common, each, *(() if self.disturbance is None else (self.disturbance.flat.to(each),))]
+        lead = broadcast_shape(*(part.shape[:-1] for part in parts))
+        return ScalarStep(IMPEDANCE, torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1), force)
 
     def _stiffness(self, x: Tensor, asked: Tensor | None) -> Tensor:
         if self.stiffness is not None:

@@ -94,10 +94,13 @@ def begin(x: Tensor, n_velocities: int, stop: StopCondition | None = None, plant
     )
 
 
-def seen(now: Moment) -> Tensor:
-    """`(*batch, *points, D)` what a policy with feedback sees: where the plant is, the reference where there is none."""
-    x: Tensor = now.x if now.plant is None else now.plant.x[..., : now.x.shape[-1]]
-    return x
+def seen(now: Moment, plant: Plant | None, t: float, dt: float) -> Tensor:
+    """`(*batch, *points, D)` what a policy with feedback sees: where the plant is or says that it is, else the reference."""
+    if plant is None:
+        return now.x
+    measure = getattr(plant, "measured", None)
+    x: Tensor = now.plant.x if measure is None else measure(now.plant, t, dt)
+    return x[..., : now.x.shape[-1]]
 
 
 def advance(
@@ -122,7 +125,7 @@ def advance(
         plant: as for `begin`; see `rollout`.
         feedback: whether the step begins where the plant is; see `rollout`.
     """
-    base = seen(now) if feedback else now.x
+    base = seen(now, plant, t, dt) if feedback else now.x
     x, resting, state = torch.add(base, v[..., : base.shape[-1]], alpha=dt), now.resting, now.plant
     if stop is not None and resting is not None:
         resting = resting | stop(base, x)

@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from torchds.arrays import number
+from torchds.disturbances import Disturbance
 from torchds.errors import InvalidArgumentError
 from torchds.plants import Command, PointMass
 
@@ -67,6 +68,7 @@ class PassiveControlled:
         capacity: largest energy in the tank [J].
         low: smallest stiffness of the policy's that is applied [N/m].
         high: largest stiffness of the policy's that is applied [N/m].
+        disturbance: what the controller measures wrongly, and how the point mass is pushed; None for a plant without noise.
 
     Raises:
         InvalidArgumentError: a damping below zero, `across` without `along`, a tank that is negative or larger than its
@@ -84,6 +86,7 @@ class PassiveControlled:
         capacity: float = math.inf,
         low: float = 0.0,
         high: float = math.inf,
+        disturbance: Disturbance | None = None,
     ) -> None:
         if along is None and across is not None:
             raise InvalidArgumentError(f"across={across} needs along=; without both the policy's stiffness says them")
@@ -96,6 +99,11 @@ class PassiveControlled:
             raise InvalidArgumentError(f"low and high have to be 0 ≤ low ≤ high, got low={low} and high={high}")
         self.plant, self.along, self.across = plant, along, along if across is None else across
         self.tank, self.capacity, self.low, self.high = tank, capacity, low, high
+        self.disturbance = disturbance
+
+    def measured(self, state: PassiveState, t: float, dt: float) -> Tensor:
+        """Where the point mass seems to be `(*batch, *points, D)`, which is what the policy sees."""
+        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt).position
 
     def reset(self, x0: Tensor) -> PassiveState:
         """At rest at `x0`."""
@@ -111,6 +119,10 @@ class PassiveControlled:
         e = field / speed.clamp_min(torch.finfo(speed.dtype).tiny)  # zero where the field is: D = λ₂ I there
         force = self.plant.external(command.t, state)  # type: ignore[arg-type]  # x and v are what it looks at
         damping, stiffness = self._damping(state.x, command.stiffness)
+        if self.disturbance is not None:  # the damper takes what it measures
+            chance = self.disturbance.at(command.t, dt)
+            along = (e * chance.velocity).sum(-1, keepdim=True) * e
+            force = force + chance.force - damping[0] * along - damping[1] * (chance.velocity - along)
         drive = damping[0] * field
         v = self._velocity(state.v, force + drive, e, damping, dt)
         tank = state.tank

@@ -167,7 +167,7 @@ def _step(
     """One step of the policy and of all that follows it, as a function of the moment and the time."""
 
     def step(now: Moment, t: Any) -> tuple[Moment, Taken]:
-        x = seen(now) if feedback else now.x
+        x = seen(now, plant, t, dt) if feedback else now.x
         if shift is not None:
             x = x - (_checked_shift(shift(t), x) if callable(shift) else shift)
         g = policy.features(x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -13,11 +14,13 @@ from torch import Tensor
 from tasks.base import Task
 from tasks.imitation import with_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
-from torchds import Demonstrations, GMRPolicy, Rollout, costs
+from torchds import Demonstrations, GMRPolicy, Rollout, costs, disturbances
+from torchds.arrays import number
+from torchds.devices import moved
 from torchds.errors import InvalidArgumentError
 from torchds.impedance import ImpedanceControlled, clamped_share, injected_energy
 from torchds.passive import PassiveControlled
-from torchds.plants import Force, PointMass
+from torchds.plants import Force, Plant, PointMass
 
 LOW, HIGH = 0.1, 1000.0  # N/m, bounds of the applied stiffness
 
@@ -102,12 +105,18 @@ class ArchTask(Task):
     """A stiffness for each axis, or one for both."""
     execution: Literal["open", "closed", "passive"] = "open"
     """The policy sees its own reference, the point mass under impedance control, or that under the passive controller."""
+    sensor_noise: float = 0.0
+    """Standard deviation of the measured position of the point mass in the trials that are learned from [m]."""
+    pushes: float = 0.0
+    """Standard deviation of a push in each of these trials [N], of one second, at any time and in any direction."""
 
     def __post_init__(self) -> None:
         if self.stiffness not in ("diagonal", "isotropic"):
             raise InvalidArgumentError(f"stiffness has to be 'diagonal' or 'isotropic', got {self.stiffness!r}")
         if self.execution not in ("open", "closed", "passive"):
             raise InvalidArgumentError(f"execution has to be 'open', 'closed' or 'passive', got {self.execution!r}")
+        for name in ("sensor_noise", "pushes"):
+            number(name, getattr(self, name), "finite and at least 0", lambda std: 0 <= std < math.inf)
         self.start = torch.tensor(self.setup.start, dtype=torch.float64)
         self.goal = torch.zeros(2, dtype=torch.float64)
         self.via_points = torch.tensor(self.setup.via_points, dtype=torch.float64)
@@ -116,6 +125,24 @@ class ArchTask(Task):
         self.plant = ImpedanceControlled(mass, form=self.form, low=self.low, high=self.high)
         if self.execution == "passive":
             self.plant = PassiveControlled(mass, None, low=self.low, high=self.high)
+
+    def tried(self, policy: GMRPolicy) -> Plant | None:
+        """The point mass and its controller, with noise of its own for each trial."""
+        if self.chance is None or not (self.sensor_noise or self.pushes):
+            return self.plant
+        x0, n_steps, dt = self.motion()
+        plant = copy.copy(self.plant)
+        assert isinstance(plant, ImpedanceControlled | PassiveControlled)
+        drawn = disturbances.draw(
+            (*policy.batch_shape, *x0.shape),
+            n_steps,
+            dt,
+            sensor=self.sensor_noise,
+            push=self.pushes,
+            generator=self.chance,
+        )
+        plant.disturbance = moved(drawn, policy.A.device, policy.A.dtype)
+        return plant
 
     @abstractmethod
     def force(self) -> Force:

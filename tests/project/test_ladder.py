@@ -15,7 +15,7 @@ LIBRARY = [
     {"control"},
     {"kernels", "visits", "arrays", "em", "files", "findings", "locks"},
     {"preparation", "mending", "policy_file"},
-    {"mixture", "demonstrations", "costs", "stops", "forces", "stability", "metrics"},
+    {"mixture", "demonstrations", "costs", "stops", "forces", "disturbances", "stability", "metrics"},
     {"recordings", "poses", "parameters", "trainable", "starts"},
     {"policy"},
     {"plants", "passive", "cartesian", "saving", "c_header"},

@@ -36,7 +36,7 @@ def test_in_open_loop_a_step_goes_on_from_the_reference():
 def test_with_feedback_it_goes_on_from_where_the_plant_is_with_one_reference_for_the_step():
     plant, v = Recorder(torch.tensor([7.0, 8.0, 9.0])), torch.tensor([1.0, 2.0])
     now = begin(torch.zeros(2), 2, plant=plant)
-    assert seen(now).tolist() == [7, 8]
+    assert seen(now, plant, 0.0, 0.1).tolist() == [7, 8]
     for i in range(2):
         now = advance(now, v, None, 0.1 * i, 0.1, plant=plant, feedback=True)
     for command in plant.commands:
@@ -46,6 +46,6 @@ def test_with_feedback_it_goes_on_from_where_the_plant_is_with_one_reference_for
 
 def test_without_a_plant_the_reference_is_what_is_seen():
     now = begin(torch.ones(2), 2)
-    assert torch.equal(seen(now), now.x)
+    assert torch.equal(seen(now, None, 0.0, 0.1), now.x)
     path = record([now, advance(now, torch.ones(2), None, 0.0, 0.5, feedback=True)], [torch.zeros(3)], [], 0.5)
     assert path.x.tolist() == [[1, 1], [1.5, 1.5]] and torch.equal(path.inputs, path.x[:-1])

@@ -94,9 +94,12 @@ def force_step(kind, p, t, x, v, force):
 def plant_step(kind, p, before, after, external, x_before, x, v_before, v, stiffness, t, dt):
     """Write the state of a point mass under impedance control after one step, `ImpedanceControlled.step`.
 
-    Parameters: mass, damping, explicit, low, high, max_rate, constant; then of each axis its stiffness, or the row it follows.
+    Parameters: mass, damping, explicit, low, high, max_rate, constant; then of each axis its stiffness, or the row it follows;
+    then of each step the errors of position and velocity and a push, if there are any.
     """
     D = len(x)
+    chance = 7 + D + 3 * D * round(t / dt)
+    disturbed = chance < len(p)
     m, damping, low, high, max_rate = p[0], p[1], p[3], p[4], p[5]
     explicit, constant = p[2] != 0, p[6] != 0
     for d in range(D):
@@ -117,18 +120,25 @@ def plant_step(kind, p, before, after, external, x_before, x, v_before, v, stiff
             s = last + change
         brake = 2.0 * math.sqrt(s * m)
         position, speed = before[d], before[D + d]
+        seen, seen_speed, force = position, speed, external[d]
+        if disturbed:
+            seen, seen_speed, force = (
+                seen + p[chance + d],
+                seen_speed + p[chance + D + d],
+                force + p[chance + 2 * D + d],
+            )
         if explicit:
-            u = s * (x[d] - position) + brake * (v[d] - speed)
-            a = (u + external[d] - damping * speed) / m
+            u = s * (x[d] - seen) + brake * (v[d] - seen_speed)
+            a = (u + force - damping * speed) / m
         else:
-            u = s * (x_before[d] - position - dt * speed) + brake * (v_before[d] - speed)
-            a = (u + external[d] - damping * speed) / (m + s * dt * dt + brake * dt)
+            u = s * (x_before[d] - seen - dt * speed) + brake * (v_before[d] - seen_speed)
+            a = (u + force - damping * speed) / (m + s * dt * dt + brake * dt)
         new = speed + a * dt
         after[d] = position + new * dt
         after[D + d] = new
         after[2 * D + d] = a
         after[3 * D + d] = s
-        after[4 * D + d] = external[d]
+        after[4 * D + d] = force
 
 
 # ---------------------------------------------------------------------- roll-outs

@@ -50,8 +50,8 @@ def run(field: Field, start: Tensor, setting: Setting) -> Track:
     with torch.cuda.device(rows.get_device()):  # -1 for the CPU, of which nothing is chosen
         roll[(-(-n // TOGETHER),)](
             n, T, n // math.prod(rows.shape[:-2]), setting.dt, _table(rows.flatten(-2))[0], *_table(gates)[:2],
-            *_table(start)[:2], *shift[:2], _table(begin)[0], path, resting, *stop, *plant[:2], *force,
-            STOP=stops, FORCE=pushes, K=K, D=D, O=O, Q=Q, LIMIT=field.limit, TOGETHER=TOGETHER,
+            *_table(start)[:2], *shift[:2], _table(begin)[0], path, resting, *stop, *plant, *force,
+            STOP=stops, FORCE=pushes, CHANCE=plant[2] > 7 + D, K=K, D=D, O=O, Q=Q, LIMIT=field.limit, TOGETHER=TOGETHER,
             num_warps=1, enable_fp_fusion=False,
         )  # fmt: skip
     written = path.permute(2, 0, 1).reshape(*lead, T + 1, -1)

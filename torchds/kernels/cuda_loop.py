@@ -10,7 +10,7 @@ from __future__ import annotations
 from torchds.kernels.cuda_steps import clamp, force_step, place, plant_step, read_all, stop_step, tl, triton, write
 
 # One kernel for all of these numbers: Triton would make others for 1 and for multiples of 16.
-COUNTED = ["steps", "points", "gates", "starts", "shifts", "stops", "limits", "plants", "forces", "pushes"]
+COUNTED = ["steps", "points", "gates", "starts", "shifts", "stops", "limits", "plants", "numbers", "forces", "pushes"]
 NUMBERS = ["n", *(f"n_{name}" for name in COUNTED)]
 
 
@@ -69,7 +69,8 @@ def held(rests, value, at_rest, COUNT: tl.constexpr):
 @triton.jit(do_not_specialize=NUMBERS)
 def roll(
     n, n_steps, n_points, dt: tl.float64, rows, gates, n_gates, start, n_starts, shift, n_shifts, begin, path, resting,
-    stop, n_stops, n_limits, plant, n_plants, force, n_forces, n_pushes, STOP: tl.constexpr, FORCE: tl.constexpr,
+    stop, n_stops, n_limits, plant, n_plants, n_numbers, force, n_forces, n_pushes,
+    STOP: tl.constexpr, FORCE: tl.constexpr, CHANCE: tl.constexpr,
     K: tl.constexpr, D: tl.constexpr, O: tl.constexpr, Q: tl.constexpr, LIMIT: tl.constexpr, TOGETHER: tl.constexpr,
 ):  # fmt: skip
     """`TOGETHER` of `n` roll-outs of `torchds.rollout`; those behind the last one are the last one again.
@@ -107,6 +108,8 @@ def roll(
         write((path, n), i, t * size, x + tracked + y + h + s, size)
         if plant is not None:
             external = force_step(FORCE, (force, n_forces, n_pushes), i, tracked, D)
-            tracked = plant_step((plant, n_plants), i, tracked, external, x, x_next, v, y, s, t > 0, dt, D, Q)
+            tracked = plant_step(
+                (plant, n_plants, n_numbers), i, tracked, external, x, x_next, v, y, s, t, dt, CHANCE, D, Q
+            )
         x, v = x_next, y
     write((path, n), i, n_steps * size, x + tracked, kept)

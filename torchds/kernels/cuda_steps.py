@@ -76,6 +76,15 @@ def write(table, column, first, values, COUNT: tl.constexpr):
 
 
 @triton.jit
+def added(a, b, COUNT: tl.constexpr):
+    """The sums of the entries of two tuples."""
+    sums = ()
+    for d in tl.static_range(COUNT):
+        sums += (a[d] + b[d],)
+    return sums
+
+
+@triton.jit
 def clamp(value, low, high):
     """`value` cut to [low, high]; not a number stays that."""
     value = tl.where(value < low, low, value)
@@ -159,28 +168,35 @@ def force_step(KIND: tl.constexpr, p, i, x, D: tl.constexpr):
 
 @triton.jit
 def plant_step(
-    p, i, before, force, x_before, x, v_before, v, stiffness, moved, dt, D: tl.constexpr, Q: tl.constexpr
+    p, i, before, external, x_before, x, v_before, v, stiffness, t, dt, CHANCE: tl.constexpr, D: tl.constexpr, Q: tl.constexpr
 ):  # fmt: skip
     """The state of a point mass under impedance control after one step, `ImpedanceControlled.step`.
 
-    `before` and the result are position, velocity, acceleration and stiffness of each axis, all positions first; `moved` says
-    whether there was a step before.
+    `before` and the result are position, velocity, acceleration and stiffness of each axis, all positions first; `t` is the
+    number of the step.
     """
     column = i % p[1]
     m, damping, explicit, low, high, max_rate, constant = read(p, column, 0, 7)
     each = read(p, column, 7, D)
-    positions, speeds, accelerations, applied = (), (), (), ()
+    positions, speeds, accelerations, applied, force = (), (), (), (), external
+    seen, seen_speeds = before[:D], before[D : 2 * D]
+    if CHANCE:
+        now, last = 7 + D + 3 * D * t, p[2] - 3 * D
+        wrong = read(p, column, tl.minimum(now, last), 3 * D)
+        wrong = tuple([tl.where(now <= last, each, 0.0) for each in wrong])
+        seen, seen_speeds = added(seen, wrong[:D], D), added(seen_speeds, wrong[D : 2 * D], D)
+        force = added(force, wrong[2 * D :], D)
     for d in tl.static_range(D):
         s = each[d]
         for q in tl.static_range(Q):
             s = tl.where((constant == 0) & (each[d] == q), clamp(stiffness[q], low, high), s)
         last, most = before[3 * D + d], max_rate * dt
         slower = last + clamp(s - last, -most, most)
-        s = tl.where(moved & (max_rate < float("inf")), slower, s)
+        s = tl.where((t > 0) & (max_rate < float("inf")), slower, s)
         brake = 2.0 * tl.sqrt(s * m)
         position, speed = before[d], before[D + d]
-        away = tl.where(explicit != 0, x[d] - position, x_before[d] - position - dt * speed)
-        slip = tl.where(explicit != 0, v[d], v_before[d]) - speed
+        away = tl.where(explicit != 0, x[d] - seen[d], x_before[d] - seen[d] - dt * speed)
+        slip = tl.where(explicit != 0, v[d], v_before[d]) - seen_speeds[d]
         inertia = tl.where(explicit != 0, m, m + s * dt * dt + brake * dt)
         a = (s * away + brake * slip + force[d] - damping * speed) / inertia
         new = speed + a * dt

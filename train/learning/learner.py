@@ -15,7 +15,7 @@ from torchds import GMRPolicy, Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.learning.history import History
 from train.options import RunOptions
-from train.searchers.base import Closure, noisy
+from train.searchers.base import Closure, by_chance, noisy
 from train.searchers.named import Explore, make_searcher, n_updates
 
 
@@ -53,7 +53,7 @@ class Learner:
         self.wrap, self.exploration = wrap, exploration
         self.initial = self.task.policy()
         self.policy = self.initial.expand(options.runs)
-        self.noise = torch.Generator().manual_seed(options.seed)  # in the costs
+        self.noise = torch.Generator().manual_seed(options.seed)  # of trials and their costs
         self.searcher = make_searcher(options, self.task, self.policy, exploration)
         self.closure = self._closure()
         self.n_updates = n_updates(options, self.task, self.searcher)
@@ -62,7 +62,7 @@ class Learner:
 
     def _closure(self) -> Closure:
         """Trials of the policies as the searcher wants them, with noise in their costs, wrapped."""
-        closure = self.searcher.closure(self.task, self.policy)
+        closure = by_chance(self.searcher.closure(self.task, self.policy), self.task, self.noise)
         if self.options.cost_noise:
             with torch.no_grad():
                 std = self.options.cost_noise * float(total(self.task.evaluate(self.initial)[1].values()))

@@ -91,3 +91,16 @@ def noisy(closure: Closure, std: float, per_step: bool, generator: torch.Generat
         return torch.cat([costs[..., :-1], costs[..., -1:] + noise.unsqueeze(-1)], -1) if per_step else costs + noise
 
     return with_noise
+
+
+def by_chance(closure: Closure, task: Task, generator: torch.Generator) -> Closure:
+    """The closure with the noise of the trials of `task`, which otherwise have none."""
+
+    def with_chance() -> Tensor:
+        task.chance = generator
+        try:
+            return closure()
+        finally:
+            task.chance = None
+
+    return with_chance

@@ -69,3 +69,41 @@ def test_learning_works_in_closed_loop(execution):
 def test_an_execution_that_is_none_is_refused():
     with pytest.raises(InvalidArgumentError, match="execution has to be 'open', 'closed' or 'passive', got 'shut'"):
         tasks.make("divergent_field", execution="shut")
+
+
+# ---------------------------------------------------------------------- trials with noise
+
+
+def noisy(seed=0, **options):
+    task = tasks.make("divergent_field", sensor_noise=0.05, pushes=5.0, **options)
+    task.motion = lambda: type(task).motion(task)._replace(n_steps=30)
+    task.chance = torch.Generator().manual_seed(seed)
+    return task
+
+
+@pytest.mark.parametrize("execution", ["open", "closed"])
+def test_trials_are_noisy_where_they_are_learned_from_alone_and_each_in_its_own_way(execution):
+    task = noisy(execution=execution)
+    policy = task.policy().expand(3).requires_grad_(False)
+    first, second = task.rollout(policy).x, task.rollout(policy).x
+    again = noisy(execution=execution).rollout(policy).x
+    assert torch.equal(first, again) and not torch.equal(first, second)
+    assert not torch.equal(first[0], first[1])  # three times the same policy
+    task.chance = None
+    still = task.rollout(policy).x
+    assert torch.equal(still[0], still[1]) and torch.equal(still, task.rollout(policy).x)
+
+
+def test_a_run_with_noisy_trials_counts_what_it_costs_without_noise():
+    options = options_for("half_plane_force", runs=2, updates=3, sensor_noise=0.05, pushes=5.0)
+    learner = Learner(options).learn()
+    assert learner.task.chance is None
+    torch.testing.assert_close(torch.tensor(learner.history.cost[-1]), sum(learner.evaluate().values()).float())
+    calm = Learner(options_for("half_plane_force", runs=2, updates=3)).learn()
+    assert calm.history.cost[0] == learner.history.cost[0] and calm.history.cost[-1] != learner.history.cost[-1]
+
+
+@pytest.mark.parametrize("name", ["sensor_noise", "pushes"])
+def test_negative_noise_is_refused(name):
+    with pytest.raises(InvalidArgumentError, match=f"{name} has to be finite"):
+        tasks.make("divergent_field", **{name: -1.0})

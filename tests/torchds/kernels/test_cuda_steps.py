@@ -6,7 +6,7 @@ import torch
 from tests.torchds.kernels.comparison import both, needs_numba
 from tests.torchds.kernels.interpreted import interpreter  # noqa: F401
 from tests.torchds.kernels.test_cpu import PUSH
-from torchds import Bounds, Walls
+from torchds import Bounds, Walls, disturbances
 from torchds.forces import ConstantForce, DivergentForce
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import PointMass
@@ -50,3 +50,9 @@ def test_kinds_of_stiffness(random_policy, randn, form, options):
     policy = random_policy(2, 2, 2, 2, batch=(5,))
     plant = ImpedanceControlled(PointMass(1.3, 0.7), form=form, **options)
     both(policy, 0.5 * randn(2, 2), n_steps=6, dt=0.1, plant=plant, stop=Bounds(-1.0, 1.0))
+
+
+def test_noise_of_sensors_and_pushes(random_policy, randn):
+    drawn = disturbances.draw((5, 2, 2), 6, 0.1, sensor=0.1, push=2.0, generator=torch.Generator().manual_seed(0))
+    plant = ImpedanceControlled(PointMass(1.3, 0.7), low=0.2, high=4.0, disturbance=drawn)
+    both(random_policy(2, 2, 2, 2, batch=(5,)), 0.5 * randn(2, 2), n_steps=8, dt=0.1, plant=plant)
