@@ -6,7 +6,6 @@ Stability: stable.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar, NamedTuple, Unpack, cast
 
@@ -41,8 +40,9 @@ class Recommendation(NamedTuple):
 NOISY = 0.05
 """The noise of costs that counts, relative to the largest standard deviation of what policies were found to differ by."""
 
-SURE = 0.0627
-"""|z| of a unit normal that is exceeded 19 times out of 20: two costs of one policy bound the noise from above by it."""
+SURE = (0.0039321, 0.10259, 0.35185, 0.71072, 1.1455)
+"""What the sum of 1, 2, ... squares of unit normals exceeds 19 times out of 20: pairs of costs of one policy bound their noise
+from above by it."""
 
 ENOUGH = 50  # roll-outs that tell noise from what policies differ by, where no policy was tried twice
 FEW = 80  # roll-outs that predict well where costs are exact
@@ -65,7 +65,8 @@ class SurrogatePIBB(PIBB):
     are (`Regression`). Policies are as far from each other as `Exploration.measure` says: with `TrajectorySpace` as far as
     they move differently, so that the regression needs few roll-outs. Of the candidates those N are tried that are predicted to
     be cheapest. The first update has nothing to predict from and is plain, but that with elite="nominal" it tries the policy
-    itself twice: what the two costs differ by tells noise from costs that are rough, as they are near a wall.
+    itself twice, and so do the next four if the two costs differ: by how much tells noise from costs that are rough, as they
+    are near a wall.
 
     Where costs are noisy, by more than a twentieth of what policies have differed by (`NOISY`), two things change for the run:
 
@@ -113,6 +114,13 @@ class SurrogatePIBB(PIBB):
             of="search",
             beside="tried",
             holds=lambda value: bool(value.isfinite().any()),
+        ),
+        "apart": Entry(
+            "(R, *batch)",
+            lambda shape, at: len(shape) > 0 and shape[0] <= len(SURE) and shape[1:] == at.shape[: len(shape) - 1],
+            of="search",
+            beside="tried_cost",
+            holds=lambda value: True,
         ),
         **dict.fromkeys(("noise_ratio", "noise_bound", "cost_noise", "cost_signal"), _KNOWN),
     }
@@ -199,19 +207,26 @@ class SurrogatePIBB(PIBB):
         known = self._known
         if normals is not None or "tried_cost" not in known:
             first = super()._propose(normals)
-            if normals is None and self.elite == "nominal" and self.n_rollouts > 2:
-                for epsilon in itertools.chain(*first):
-                    epsilon[1] = 0.0  # beside the elite
-            return first
+            return first if normals is not None else self._doubled(first)
         drawn = self._candidates()
         regression = self._regression(known.get("noise_ratio"))
         predicted = regression.predict(self._coordinates(drawn))
         best = predicted.topk(self.n_rollouts, dim=0, largest=False).indices
         best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
-        return [
+        chosen = [
             [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
             for noise in drawn
         ]
+        return self._doubled(chosen)
+
+    def _doubled(self, noise: list[list[Tensor]]) -> list[list[Tensor]]:
+        """With the policy itself in the second place too, beside the elite, where that says more about the noise."""
+        apart = self._known.get("apart")
+        asks = apart is None or (len(apart) < len(SURE) and bool(self._known["noise_bound"].any()))
+        if asks and self.elite == "nominal" and self.n_rollouts > 2:
+            for epsilon in itertools.chain(*noise):
+                epsilon[1] = 0.0
+        return noise
 
     def _update(
         self, group: dict[str, Any], noise: list[Tensor], cost: Tensor, steps: Tensor, control: list[Control]
@@ -238,10 +253,10 @@ class SurrogatePIBB(PIBB):
             self._keep(p, "tried", p + self.state[p]["noise"])
         known = self._known
         self._keep(self._first, "tried_cost", cost)
-        if "noise_bound" not in known:
-            twice = len(cost) > 1 and not any(bool(e[:2].any()) for e in itertools.chain(*tried))
-            apart = (cost[0] - cost[1]).abs() if twice else torch.full_like(cost[0], torch.nan)
-            known["noise_bound"] = torch.where(apart.isfinite(), apart / (math.sqrt(2) * SURE), torch.inf)
+        apart = known.get("apart", cost[:0])
+        if len(apart) < len(SURE) and len(cost) > 1 and not any(bool(e[:2].any()) for e in itertools.chain(*tried)):
+            apart = torch.cat([apart, cost[:1] - cost[1:2]])
+        known["apart"], known["noise_bound"] = apart, _bound(apart)
         self._belief, bound = None, known["noise_bound"]
         if not bound.any():  # costs are exact, and there is nothing to find out
             known["noise_ratio"] = torch.full_like(bound, RATIOS[0])
@@ -298,3 +313,11 @@ class SurrogatePIBB(PIBB):
             found["surrogate/noise"] = float(known["cost_noise"].mean())
             found["surrogate/noise_ratio"] = float((known["cost_noise"] / known["cost_signal"]).nan_to_num(0.0).mean())
         return found
+
+
+def _bound(apart: Tensor) -> Tensor:
+    """What the noise `(*batch)` is below, 19 times out of 20, by pairs of costs `apart` `(R, *batch)`; infinite without any."""
+    known = apart.isfinite()
+    n = known.sum(0)
+    sure = apart.new_tensor([0.0, *SURE])[n]  # infinite bounds where there is no pair
+    return torch.where(n > 0, (apart.square().where(known, 0.0).sum(0) / (2 * sure)).sqrt(), torch.inf)

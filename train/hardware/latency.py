@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from torchds import Controller, GMRPolicy, export
-from train.folder import versions
+from train.folder import versions, write_text
 from train.tables import markdown
 
 SIZES = ((2, 4), (6, 10))
@@ -89,8 +89,9 @@ def exported(policy: GMRPolicy, folder: Path) -> Iterator[tuple[str, Callable[[]
     x = np.ones(policy.input_dim)
     if shutil.which("gcc"):
         export(policy, folder / "motion.h", format="c")
-        (folder / "motion.c").write_text(
-            '#include "motion.h"\nvoid evaluate(const double *x, double *y) { motion_evaluate(x, y); }\n'
+        write_text(
+            folder / "motion.c",
+            '#include "motion.h"\nvoid evaluate(const double *x, double *y) { motion_evaluate(x, y); }\n',
         )
         build = ["gcc", "-O2", "-shared", "-fPIC", "motion.c", "-o", "motion.so", "-lm"]
         subprocess.run(build, cwd=folder, check=True)

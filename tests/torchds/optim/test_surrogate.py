@@ -3,7 +3,9 @@
 import copy
 import pickle
 
+import numpy as np
 import pytest
+import scipy.stats
 import torch
 from torch import nn
 from torch.testing import assert_close
@@ -11,6 +13,7 @@ from torch.testing import assert_close
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration import Gaussian
 from torchds.optim import PIBB, SurrogatePIBB
+from torchds.optim.surrogate import SURE, _bound
 
 TARGET = torch.linspace(-1.0, 1.0, 6, dtype=torch.float64)
 RUNS = 20
@@ -126,7 +129,7 @@ def learned(noise, n_updates=8, **options):
     return optim, closure
 
 
-def test_the_first_update_tries_the_policy_itself_twice_which_tells_whether_costs_are_exact():
+def test_the_policy_itself_is_tried_twice_until_it_is_known_whether_costs_are_exact():
     optim, _ = make((RUNS,), elite="nominal")
     a, b = optim.ask()
     assert not a[:2].any() and not b[:2].any() and a[2:].any()
@@ -134,6 +137,21 @@ def test_the_first_update_tries_the_policy_itself_twice_which_tells_whether_cost
     known = exact.state[exact.param_groups[0]["params"][0]]
     assert not known["noise_bound"].any() and not known["cost_noise"].any() and not exact.noisy.any()
     assert exact.scalars()["surrogate/noise"] == 0.0
+    assert all(e[1].any() for e in exact.ask())  # once was enough
+    for done, again in ((4, True), (5, False)):
+        asked = learned(0.3, done)[0].ask()
+        p = learned(0.3, done)[0].param_groups[0]["params"]
+        assert all(torch.equal(e[1], center) == again for e, center in zip(asked, p, strict=True))
+
+
+def test_pairs_of_costs_bound_the_noise_nineteen_times_out_of_twenty():
+    np.testing.assert_allclose(SURE, scipy.stats.chi2.ppf(0.05, range(1, 6)), rtol=1e-4)
+    pairs = torch.randn(5, 20000, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 3.0 * 2**0.5
+    for n in range(1, 6):
+        assert float((_bound(pairs[:n]) > 3.0).double().mean()) == pytest.approx(0.95, abs=0.01)
+    one_failed = torch.cat([pairs[:2], torch.full((1, 20000), torch.nan, dtype=torch.float64)])
+    assert torch.equal(_bound(one_failed), _bound(pairs[:2]))
+    assert _bound(pairs[:0]).isinf().all() and _bound(one_failed[2:]).isinf().all()
 
 
 @pytest.mark.parametrize("noise", [0.3, 1.0])
