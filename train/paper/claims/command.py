@@ -1,7 +1,7 @@
 """Every claim of the paper, measured: `python -m train claims`.
 
-A claim is judged in the file of its section, `claims/via_points.py` to `claims/digging.py`; what it needs is measured in the
-file of the same name in `measured/`.
+A claim is judged in the file of its section, `claims/via_points.py` to `claims/limits.py`; what it needs is measured in
+`measured/`.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import read_sealed, write_sealed
 from train.folder import Interrupted, make_folder, versions, write_text
 from train.options import check_seed
-from train.paper.claims import digging, impedance, noise, report, stable, via_points
+from train.paper.claims import digging, impedance, limits, noise, report, stable, via_points
 from train.paper.claims.base import Check, Claim
 from train.paper.measured.base import Setting
 from train.paper.measured.digging import Experiment
 
-SECTIONS = (via_points, noise, stable, impedance, digging)
+SECTIONS = (via_points, noise, stable, impedance, digging, limits)
 CLAIMS: dict[str, Claim] = {claim.id: claim for section in SECTIONS for claim in section.CLAIMS}
 
 
