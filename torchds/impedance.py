@@ -12,6 +12,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchds.arms import Arm as Arm
+from torchds.arms import arm as arm
 from torchds.arrays import Array, beside, broadcast_shape, number, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.devices import Movable
@@ -21,6 +23,8 @@ from torchds.kernels.steps import IMPEDANCE, ScalarStep, own
 from torchds.passive import PassiveControlled
 from torchds.plants import Command, PointMass, PointMassState
 from torchds.rollouts import Rollout
+from torchds.targets import PlaneReference as PlaneReference
+from torchds.targets import PoseReference as PoseReference
 
 
 class ImpedanceControlled(Movable):

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from tasks.digging import lwr
 from tasks.digging.worlds import GRAVITY, Worlds
-from torchds.cartesian import CartesianImpedance, PlaneReference
+from torchds.cartesian import CartesianImpedance
 from torchds.errors import InvalidArgumentError
+from torchds.targets import PlaneReference
 
 WEIGHING = 0.5
 """Length of the mean over the end of a roll-out that weighs the load [s]."""
@@ -108,7 +109,8 @@ def dig(
         rates = reference.diff(dim=1) / dt
         q = lwr.posture(*reference[:, 0].unbind(-1))
         # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
-        control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
+        # Gravel is chaotic: eager, so that its trials are the same whether numba is there or not.
+        control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS, backend="eager")
         worlds.reset(q, seeds)
         poses, readings, torques = [reference[:, 0]], [], []
         snapshots, between = [worlds.snapshot()], round(SNAPSHOT / dt)
@@ -120,7 +122,7 @@ def dig(
             wanted = PlaneReference(point[:, :2], point[:, 2], rate[:, :2], rate[:, 2])
             asked = control(q, v, worlds.mass, worlds.bias, wanted, s[:, i])
             if i > 0:
-                poses.append(torch.cat([asked.x, asked.angle.unsqueeze(-1)], -1))
+                poses.append(_in_plane(control, asked.pose))
             torques.append(asked.torque)
             decided = time.perf_counter()
             worlds.step(asked.torque)
@@ -134,7 +136,7 @@ def dig(
                 if progress is not None:
                     progress((i + 1) * dt)
         _, last = control.chain.jacobian(worlds.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
-        poses.append(torch.stack([last[:, 0, 3], last[:, 2, 3], torch.atan2(last[:, 2, 0], last[:, 0, 0])], -1))
+        poses.append(_in_plane(control, last))
         force = worlds.force(*(np.stack(part, 1) for part in zip(*readings, strict=True)))
         force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
         load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
@@ -147,3 +149,9 @@ def dig(
         snapshots=torch.stack(snapshots, 1),
         failed=worlds.failed,
     )
+
+
+def _in_plane(control: CartesianImpedance, pose: Tensor) -> Tensor:
+    """Position and angle `(N, 3)` of poses `(N, 4, 4)`."""
+    x, angle = control.in_plane(pose)
+    return torch.cat([x, angle.unsqueeze(-1)], -1)

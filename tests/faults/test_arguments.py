@@ -15,7 +15,7 @@ from torch import nn
 import torchds
 from tests.faults.test_optimizer import make_policy
 from torchds import costs, metrics, poses, stability
-from torchds.cartesian import CartesianImpedance, PlaneReference
+from torchds.cartesian import CartesianImpedance
 from torchds.errors import TorchdsError
 from torchds.exploration import Gaussian, Homogeneous, Stable, TrajectorySpace
 from torchds.exploration.trajectory import Coordinates
@@ -27,6 +27,7 @@ from torchds.optim.regression import Regression
 from torchds.plants import PointMass
 from torchds.sensitivity import sensitivity, stiffness_sensitivity
 from torchds.stops import Walls
+from torchds.targets import PlaneReference
 
 T, DT = 5, 0.1
 
@@ -94,7 +95,19 @@ def arm(**given):
         n: given.pop(n) for n in ("posture", "torque_limit") if n in given
     }
     state["stiffness"] = torch.full((4,), 20.0)
-    return CartesianImpedance(OneJoint(), **made, plane="xy")(**(state | given | {"reference": reference}))
+    return CartesianImpedance(OneJoint(), **made, plane="xy", start_within=None)(
+        **(state | given | {"reference": reference})
+    )
+
+
+def aligned(q):
+    zero = torch.zeros(2, dtype=torch.float64)
+    return CartesianImpedance(OneJoint(), [0.1], plane="xy").aligned(q, PlaneReference(zero, zero[0], zero, zero[0]))
+
+
+def pendulum():
+    joint = '<body name="link"><joint axis="0 1 0"/><geom size=".1" pos="0 0 -1"/></body>'
+    return torchds.impedance.arm(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
 
 
 def saved(**given):
@@ -203,6 +216,12 @@ CASES = {
         {"q": randn(4, 1), "v": randn(4, 1), "mass": torch.ones(4, 1, 1).double(), "bias": randn(4, 1)}
         | {"stiffness": randn(4) ** 2},
     ),
+    "cartesian.CartesianImpedance.aligned": (aligned, {"q": randn(1)}),
+    "arms.Arm.dynamics": (
+        lambda **given: list(pendulum().dynamics(**given)),
+        {"q": randn(1, 1), "v": randn(1, 1)},
+    ),
+    "arms.Arm.impedance": (lambda posture: pendulum().impedance(posture).posture, {"posture": randn(1)}),
     "exploration.gaussian.Gaussian": (
         lambda std: explored(Gaussian(std), nn.Linear(1, 1, dtype=torch.float64)),
         {"std": GOAL**2},
@@ -288,7 +307,8 @@ CASES = {
 
 # Not for people: what the library hands from one part to another, and what only holds it.
 INSIDE = {
-    "cartesian.CartesianImpedance", "exploration.base.Exploration.__call__", "exploration.base.Exploration.measure",
+    "cartesian.CartesianImpedance", "cartesian.CartesianImpedance.in_plane", "targets.Plane.state", "targets.Plane.turn",
+    "exploration.base.Exploration.__call__", "exploration.base.Exploration.measure",
     "exploration.gaussian.Gaussian.__call__", "exploration.homogeneous.Homogeneous.__call__",
     "exploration.homogeneous.Homogeneous.measure", "exploration.stable.Stable.__call__", "exploration.stable.Stable.measure",
     "exploration.stable.Stable.stabilise", "exploration.trajectory.TrajectorySpace.__call__",

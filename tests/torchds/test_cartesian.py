@@ -1,11 +1,14 @@
 """Cartesian impedance: the law in closed form, on the arm in MuJoCo, and on an arm with three joints."""
 
+import functools
+import math
+
 import pytest
 import torch
 
-from torchds.cartesian import PlaneReference
+from torchds.cartesian import CartesianImpedance as Impedance
 from torchds.errors import InvalidArgumentError
-from torchds.impedance import CartesianImpedance
+from torchds.targets import PlaneReference, PoseReference
 
 mujoco = pytest.importorskip("mujoco")
 pk = pytest.importorskip("pytorch_kinematics")
@@ -13,6 +16,7 @@ pk = pytest.importorskip("pytorch_kinematics")
 import numpy as np  # noqa: E402
 import scipy.linalg  # noqa: E402
 
+CartesianImpedance = functools.partial(Impedance, start_within=None)
 EFFORTS = (40.0, 40.0, 30.0, 30.0, 15.0, 15.0, 5.0)  # [N m]
 SWING, TURN, ROLL = "0 -1 0", "0 0 1", "1 0 0"  # axes of joints; swinging moves the tool in the plane, from x towards z
 UPPER, LOWER, HAND = 0.4, 0.45, 0.15  # [m]
@@ -44,6 +48,13 @@ SEVEN_JOINTS = urdf(
     [(TURN, 0.0), (SWING, 0.0), (ROLL, 0.0), (SWING, UPPER), (ROLL, 0.0), (SWING, LOWER), (ROLL, 0.0)], HAND
 )
 THREE_JOINTS = urdf([(SWING, 0.0), (SWING, 0.3), (SWING, 0.3)], 0.1)
+
+
+@pytest.fixture(autouse=True, params=["eager", "fused"])
+def backend(request, monkeypatch):
+    monkeypatch.setenv("TORCHDS_BACKEND", request.param)
+    if request.param == "fused":
+        pytest.importorskip("numba")
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +106,8 @@ def simulate(control, q, reference, stiffness, seconds, dt, force=(0.0, 0.0, 0.0
         first = M if first is None else first
         state = (torch.from_numpy(a.copy()) for a in (data.qpos, data.qvel, M, data.qfrc_bias))
         asked = control(*state, reference, stiffness)
-        path.append(torch.cat([asked.x, asked.angle[None]]))
+        x, angle = control.in_plane(asked.pose)
+        path.append(torch.cat([x, angle[None]]))
         data.qfrc_applied[:] = asked.torque
         mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), data.xpos[tool], tool, data.qfrc_applied)
         mujoco.mj_step(model, data)
@@ -125,6 +137,7 @@ def test_a_released_spring_follows_the_critically_damped_modes(chain, start):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("backend", ["fused"], indirect=True)  # the other is slow, and the same
 @pytest.mark.parametrize("stiffness", [150.0, 450.0])
 def test_a_constant_force_displaces_by_force_over_stiffness(chain, start, stiffness):
     control = CartesianImpedance(chain, start)
@@ -207,7 +220,7 @@ def test_the_error_of_the_angle_is_exact(chain, start, turn):
     asked = control(start, zero, torch.eye(7, dtype=torch.float64), zero, at(X, Z, ANGLE + turn), 100.0)
     expected = torch.tensor([0, 0, 0, 0, -turn, 0], dtype=torch.float64)
     torch.testing.assert_close(asked.error, expected, atol=3e-7, rtol=0)
-    torch.testing.assert_close(float(asked.angle), ANGLE, atol=3e-7, rtol=0)
+    torch.testing.assert_close(float(control.in_plane(asked.pose)[1]), ANGLE, atol=3e-7, rtol=0)
 
 
 def test_an_arm_in_a_singular_posture_gets_finite_torques(chain, start):
@@ -216,12 +229,106 @@ def test_an_arm_in_a_singular_posture_gets_finite_torques(chain, start):
     assert asked.torque.isfinite().all()
 
 
+def turned(angle, axis):
+    """The pose of a frame that is turned about an axis."""
+    pose = torch.eye(4, dtype=torch.float64)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    pose[i, i] = pose[j, j] = math.cos(angle)
+    pose[j, i], pose[i, j] = math.sin(angle), -math.sin(angle)
+    return pose
+
+
+def space(pose):
+    return PoseReference(pose[:3, 3], pose[:3, :3], torch.zeros(3).double(), torch.zeros(3).double())
+
+
+def test_a_pose_reference_is_a_plane_reference_where_both_are_the_same(chain, start, randn):
+    """With the plane's stiffness outside of it equal to that in it, and the rotation's too."""
+    state = random_state(randn, start, (5,))
+    control = CartesianImpedance(chain, start, stiffness_outside=(200.0, 20.0), rotation_scale=0.1)
+    flat = PlaneReference(randn(5, 2), randn(5), randn(5, 2), randn(5))
+    for one, other in zip(control(*state, flat, 200.0), control(*state, control.plane.pose(flat), 200.0), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
+
+
+def test_a_pose_is_held_and_its_errors_are_exact(chain, start):
+    zero, control = torch.zeros(7, dtype=torch.float64), CartesianImpedance(chain, start)
+    (_, pose), eye = chain.jacobian(start[None], ret_eef_pose=True), torch.eye(7, dtype=torch.float64)
+    for axis in range(3):
+        for angle in (0.0, 1e-9, 0.7, -3.1):
+            wanted = pose[0].clone()
+            wanted[:3, :3] = turned(angle, axis)[:3, :3] @ pose[0, :3, :3]
+            wanted[axis, 3] += 0.03
+            expected = torch.zeros(6, dtype=torch.float64)
+            expected[axis], expected[3 + axis] = 0.03, angle
+            error = control(start, zero, eye, zero, space(wanted), 100.0).error
+            torch.testing.assert_close(error, expected, atol=3e-7, rtol=0)
+
+
+def test_a_tool_is_the_same_as_a_longer_chain(chain, start, randn):
+    """Torques at the tool equal those of the arm whose last link carries it."""
+    tool = turned(0.5, 0) @ turned(-0.3, 2)
+    tool[:3, 3] = torch.tensor([0.1, -0.05, 0.2])
+    longer = CartesianImpedance(chain, start, tool=tool)
+    state = random_state(randn, start, (4,))
+    reference = space(turned(0.2, 1))
+    asked = longer(*state, reference, 300.0)
+    _, pose = chain.jacobian(state[0], ret_eef_pose=True)
+    torch.testing.assert_close(asked.pose, pose @ tool, atol=1e-7, rtol=0)
+    eye, still = torch.eye(7, dtype=torch.float64).expand(4, 7, 7), torch.zeros_like(state[0])
+    quiet = CartesianImpedance(chain, start, tool=tool, posture_stiffness=0.0)
+    found = quiet(state[0], still, eye, still, reference, 300.0)
+    h = 1e-6  # the gradient of the spring's energy, by differences along each joint
+    for j in range(7):
+        step = torch.zeros(7, dtype=torch.float64)
+        step[j] = h
+        ahead, behind = (quiet(state[0] + s * step, still, eye, still, reference, 300.0).pose for s in (1, -1))
+        moved = (ahead - behind)[..., :3, 3] / (2 * h)
+        push = 300.0 * (moved * found.error[:, :3]).sum(-1)
+        spin = (ahead - behind)[..., :3, :3] / (2 * h) @ found.pose[..., :3, :3].mT
+        axis = torch.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], -1)
+        torch.testing.assert_close(
+            found.torque[:, j], push + 30.0 * (axis * found.error[:, 3:]).sum(-1), rtol=1e-5, atol=1e-4
+        )
+
+
+def test_a_tool_far_from_its_reference_is_refused_once(chain, start):
+    zero, eye = torch.zeros(7, dtype=torch.float64), torch.eye(7, dtype=torch.float64)
+    near, far, flipped = at(X, Z, ANGLE), at(X + 0.4, Z, ANGLE), at(X, Z, ANGLE + 3.1)
+    control = Impedance(chain, start)
+    for wanted, words in (
+        (far, r"begins 0\.4 m and .*° from its reference"),
+        (flipped, r"m and 178° from.*at most.*30°"),
+    ):
+        with pytest.raises(InvalidArgumentError, match=words):
+            control(start, zero, eye, zero, wanted, 100.0)
+    control(start, zero, eye, zero, near, 100.0)
+    control(start, zero, eye, zero, far, 100.0)  # pushed away on its way
+    control.reset()
+    with pytest.raises(InvalidArgumentError, match=r"tool=control\.aligned\(q, reference\)"):
+        control(start, zero, eye, zero, flipped, 100.0)
+    with pytest.raises(InvalidArgumentError, match=r"begins 0\.4 m"):
+        Impedance(chain, start, start_within=(0.3, 1.0))(start, zero, eye, zero, far, 100.0)
+
+
+def test_the_aligned_tool_has_the_axes_of_the_reference(chain, start):
+    zero, eye = torch.zeros(7, dtype=torch.float64), torch.eye(7, dtype=torch.float64)
+    flipped = at(X, Z, ANGLE + 3.1)
+    control = Impedance(chain, start)
+    other = Impedance(chain, start, tool=control.aligned(start, flipped))
+    asked = other(start, zero, eye, zero, flipped, 100.0)
+    assert float(asked.error.abs().max()) < 1e-6
+    torch.testing.assert_close(float(other.in_plane(asked.pose)[1]), ANGLE + 3.1, atol=1e-6, rtol=0)
+
+
 def test_bad_arguments_are_refused_by_name(chain, start, randn):
     for options, message in (
         ({"plane": "zx"}, "plane has to be"),
         ({"damping_ratio": -1.0}, "damping_ratio has to be ≥ 0"),
         ({"stiffness_outside": (1.0, -2.0)}, r"stiffness_outside\[1\]"),
         ({"torque_limit": [1.0]}, "torque_limit has to be 7 positive numbers"),
+        ({"tool": [1.0]}, r"tool has to be a pose \(4, 4\)"),
+        ({"tool": -torch.eye(4)}, r"tool has to be a pose \(4, 4\)"),
     ):
         with pytest.raises(InvalidArgumentError, match=message):
             CartesianImpedance(chain, start, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 import warnings
@@ -16,6 +17,8 @@ from tasks.via_point import ViaPoint
 from torchds import GaussianMixture, GMRPolicy, rollout
 from torchds.errors import LargestMixtureWarning, MissingPackageError, TorchdsError
 from torchds.exploration import TrajectorySpace
+from torchds.kernels import available
+from torchds.kernels.choice import Backend
 from train.learning.learner import Learner
 from train.options import LEARNERS, options_for
 
@@ -83,19 +86,25 @@ def _fits() -> Iterator[Row]:
 
 
 def _arm() -> Iterator[Row]:
-    """One call of the controller, as in every step of the digging; none without the packages of that."""
+    """One call of the controller; none without the packages of the digging."""
     try:
         from tasks.digging import lwr
-        from torchds.cartesian import CartesianImpedance, PlaneReference
+        from torchds.cartesian import CartesianImpedance
+        from torchds.targets import PlaneReference
     except MissingPackageError:
         return
     x, z, angle = (torch.tensor([value], dtype=torch.float64) for value in (0.55, 0.2, -0.3))
     q, zero = lwr.posture(x, z, angle), torch.zeros(1, 7, dtype=torch.float64)
-    control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
     wanted = PlaneReference(torch.stack([x, z], -1), angle, zero[:, :2], zero[:, 0])
     mass = torch.eye(7, dtype=torch.float64)[None]
-    call = torch.inference_mode()(control)
-    yield Row("CartesianImpedance, one arm of seven joints", lambda: call(q, zero, mass, zero, wanted, 300.0))
+    chain, posture, state = lwr.chain(), q[0], (q, zero, mass, zero)
+    backends: tuple[Backend, ...] = ("fused", "eager") if available()["cpu"] else ("eager",)
+    for backend in backends:
+        control = CartesianImpedance(chain, posture, torque_limit=lwr.EFFORTS, backend=backend)
+        for n, what in ((1, "one arm"), (64, "64 arms")):
+            q, v, mass, bias = (part.expand(n, *part.shape[1:]).contiguous() for part in state)
+            call = torch.inference_mode()(functools.partial(control, q, v, mass, bias, wanted, 300.0))
+            yield Row(f"CartesianImpedance, {what} of seven joints, {backend}", call)
 
 
 def _counted(motion: torchds.Demonstrations) -> None:

@@ -1,0 +1,82 @@
+"""The torques of `torchds.cartesian` in torch, for any number of arms at once.
+
+Stability: experimental.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class State(NamedTuple):
+    """An arm at one moment: angles and velocities `(..., J)`, mass matrix `(..., J, J)`, bias torque `(..., J)`."""
+
+    q: Tensor
+    v: Tensor
+    mass: Tensor
+    bias: Tensor
+
+
+class Gains(NamedTuple):
+    """What does not change from call to call: posture `(J,)`, ζ, and the spring and damper of the posture."""
+
+    posture: Tensor
+    damping_ratio: float
+    posture_stiffness: float
+    posture_damping: float
+
+
+def torques(state: State, gains: Gains, J: Tensor, K: Tensor, error: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+    """The torques before the limits `(..., J)`, and their part that only moves the posture.
+
+    Args:
+        state: of the arms.
+        gains: of the law.
+        J: `(..., 6, J)` Jacobian of the tool.
+        K: `(..., 6)` the diagonal of the stiffness.
+        error: `(..., 6)` of the reference from the tool.
+        velocity: `(..., 6)` of the reference.
+    """
+    q, v, mass, bias = state
+    # In joint coordinates scaled by the root of the mass matrix the arm has unit mass, and the task sees
+    # J̃ = J L⁻ᵀ = U S Vᵀ; the rows of Vᵀ that belong to S > 0 span what the task can move.
+    L = torch.linalg.cholesky(mass)
+    scaled = torch.linalg.solve_triangular(L, J.mT, upper=False).mT  # (..., 6, J)
+    U, S, Vh = torch.linalg.svd(scaled, full_matrices=False)
+    moves = 1e-7 * S[..., :1] < S
+    S, Vh = S * moves, Vh * moves.unsqueeze(-1)
+    inverse = torch.where(moves, 1 / S.where(moves, torch.ones_like(S)), 0.0)
+    modes = S.unsqueeze(-1) * (U.mT * K.unsqueeze(-2)) @ U * S.unsqueeze(-2)
+    squares, W = torch.linalg.eigh(modes)
+    root = W * squares.clamp_min(0.0).sqrt().unsqueeze(-2) @ W.mT
+    slip = _times(Vh, _times(L.mT, v)) - inverse * _times(U.mT, velocity)
+    damping = -2 * gains.damping_ratio * _times(L, _times(Vh.mT, _times(root, slip)))
+
+    free = gains.posture_stiffness * (gains.posture.to(q.device) - q) - gains.posture_damping * v
+    raw = torch.linalg.solve_triangular(L, free.unsqueeze(-1), upper=False).squeeze(-1)
+    nullspace = _times(L, raw - _times(Vh.mT, _times(Vh, raw)))
+    return _times(J.mT, K * error) + damping + bias + nullspace, nullspace
+
+
+def rotation_vector(turn: Tensor) -> Tensor:
+    """The vector `(..., 3)` of rotations `(..., 3, 3)`, exact up to half a turn, where the shorter way is not defined."""
+    twice = torch.stack(
+        [
+            turn[..., 2, 1] - turn[..., 1, 2],
+            turn[..., 0, 2] - turn[..., 2, 0],
+            turn[..., 1, 0] - turn[..., 0, 1],
+        ],
+        -1,
+    )
+    sine = 0.5 * torch.linalg.vector_norm(twice, dim=-1, keepdim=True)
+    cosine = 0.5 * (turn.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True) - 1)
+    small = sine < 1e-9
+    ratio = torch.where(small, 1.0, torch.atan2(sine, cosine) / sine.masked_fill(small, 1.0))
+    return 0.5 * twice * ratio
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
