@@ -24,6 +24,7 @@ try:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
+    from matplotlib.ticker import MaxNLocator
 except ImportError as error:
     raise MissingPackageError("matplotlib", "plot", "drawing figures") from error
 
@@ -135,14 +136,17 @@ def frames(axes: Axes, x: Tensor, goal: Tensor, *, size: float, n: int = 8) -> N
         x: `(T+1, 6)` [p, r], see `torchds.poses`.
         goal: `(4,)` orientation at which r is zero, the scalar first.
         size: length of the axes [unit of the positions].
-        n: how many, evenly over time; the first and the last among them.
+        n: how many, evenly along the way, on which a turn by one radian is `size` long; the first and the last among them.
 
     Raises:
         InvalidArgumentError: axes of a plane, or states that are no poses.
     """
     if axes.name != "3d" or x.ndim != 2 or x.shape[-1] != 6:
         raise InvalidArgumentError(f"frames need 3-D axes and states (T+1, 6), got {axes.name} and {tuple(x.shape)}")
-    chosen = x.detach().cpu()[torch.linspace(0, len(x) - 1, n).round().long()]
+    states = x.detach().cpu()
+    step = states.diff(dim=0) * states.new_tensor([1.0, 1.0, 1.0, size, size, size])
+    way = torch.cat([step.new_zeros(1), torch.linalg.vector_norm(step, dim=-1).cumsum(0)])
+    chosen = states[(torch.linspace(0, 1, n).to(way)[:, None] * way[-1] - way).abs().argmin(-1)]
     for position, matrix in zip(chosen[:, :3], poses.matrix(chosen, goal.detach().cpu()), strict=True):
         for direction, color in zip(matrix.T, FRAME, strict=True):
             axes.plot(*torch.stack([position, position + size * direction]).T, color=color, lw=1.5, zorder=6)
@@ -168,8 +172,12 @@ def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("
     axes.set_ylabel(names[1] + suffix)
     if axes.name == "3d":
         axes.set_zlabel(names[2] + suffix)  # type: ignore[attr-defined]
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):  # type: ignore[attr-defined]
+            axis.set_major_locator(MaxNLocator(4))
+            axis.labelpad = 8
     axes.set_title(title)
-    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=4.5, ncols=3, frameon=False)
+    below = 0.0 if axes.name == "3d" else 4.5  # 3-D axes have room for their labels within
+    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=below, ncols=3, frameon=False)
 
 
 def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, Any], *, total: str = "total") -> None:

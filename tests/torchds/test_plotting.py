@@ -66,6 +66,15 @@ def test_frames_along_a_motion_are_the_axes_of_its_orientation(space):
     )
 
 
+def test_frames_are_even_along_the_way_also_where_a_motion_slows_down(space):
+    t = torch.linspace(0, 8, 801, dtype=torch.float64)
+    x = torch.zeros(801, 6, dtype=torch.float64)
+    x[:, 1] = torch.exp(-t)
+    plotting.frames(space, x, torch.tensor([1.0, 0, 0, 0]).double(), size=0.1, n=5)
+    at = [line.get_data_3d()[1][0] for line in space.lines[::3]]
+    np.testing.assert_allclose(at, [1, 0.75, 0.5, 0.25, 0], atol=0.005)
+
+
 def test_what_cannot_be_drawn_is_refused(axes, space, random_policy):
     for call, words in (
         (lambda: plotting.field(space, random_policy()), "a field can be drawn in a plane only, got 3-D axes"),
