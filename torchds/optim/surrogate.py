@@ -140,6 +140,8 @@ class SurrogatePIBB(PIBB):
         self.n_candidates, self.memory = n_candidates, memory
         self._beyond: list[list[Tensor]] = []  # candidates that are only imagined, per group and parameter
         self._belief: Tensor | None = None  # what they and the N roll-outs weigh
+        self._predicted: Tensor | None = None  # costs (N, *batch) of the roll-outs that were chosen by them
+        self._said: dict[str, float] = {}  # for `scalars`
         super().__init__(params, exploration, n_rollouts, lr, **shared)
         self._check_own()
 
@@ -211,8 +213,12 @@ class SurrogatePIBB(PIBB):
         drawn = self._candidates()
         regression = self._regression(known.get("noise_ratio"))
         predicted = regression.predict(self._coordinates(drawn))
-        best = predicted.topk(self.n_rollouts, dim=0, largest=False).indices
-        best = best.flip(0)  # (N, *batch), the cheapest last: an elite takes the first place
+        costs, best = predicted.topk(self.n_rollouts, dim=0, largest=False)
+        self._predicted, best = (
+            costs.flip(0),
+            best.flip(0),
+        )  # (N, *batch), the cheapest last: an elite takes the first place
+        self._said["surrogate/length"] = float(regression.length.mean())
         chosen = [
             [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
             for noise in drawn
@@ -249,6 +255,11 @@ class SurrogatePIBB(PIBB):
     def _judge(self, cost: Tensor) -> None:
         """Remember what was tried, find out how noisy costs `(N, *batch)` are, and weigh by predictions where they are."""
         tried = [[self.state[p]["noise"] for p in group["params"]] for group in self.param_groups]
+        if (predicted := self._predicted) is not None:
+            error = (predicted - cost)[2:]  # of those that were chosen by it
+            self._said["surrogate/predicted_cost"] = float(predicted[2:].mean())
+            self._said["surrogate/error"] = float(error[~failures(error)].square().mean().sqrt())
+            self._predicted = None
         for p in self.parameters:
             self._keep(p, "tried", p + self.state[p]["noise"])
         known = self._known
@@ -307,8 +318,13 @@ class SurrogatePIBB(PIBB):
         return Recommendation(self._by_name(chosen), cost[0], error[0])
 
     def scalars(self) -> dict[str, float]:
-        """Those of every search, and how noisy costs are: in their unit, and relative to what policies differ by."""
-        found, known = super().scalars(), self._known
+        """Those of every search, and what the regression found.
+
+        Returns:
+            Its length; how noisy costs are, in their unit and relative to what policies differ by; the mean cost that it
+            predicted for the last roll-outs, and by how much it was wrong (root mean square).
+        """
+        found, known = super().scalars() | self._said, self._known
         if "cost_noise" in known:
             found["surrogate/noise"] = float(known["cost_noise"].mean())
             found["surrogate/noise_ratio"] = float((known["cost_noise"] / known["cost_signal"]).nan_to_num(0.0).mean())

@@ -161,6 +161,9 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0) -> Path:
             bar.close()
         finish(folder, events, album)
     print(table(history))
+    if (noise := learner.searcher.scalars().get("surrogate/noise")) is not None:
+        share = noise / abs(median(history.cost[0]))
+        print(f"estimated noise in the cost of a trial: {noise:.3g}, {share:.1%} of the initial cost")
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder.path}")
     return folder.path
 

@@ -13,6 +13,7 @@ from torch.testing import assert_close
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration import Gaussian
 from torchds.optim import PIBB, SurrogatePIBB
+from torchds.optim.regression import Regression
 from torchds.optim.surrogate import SURE, _bound
 
 TARGET = torch.linspace(-1.0, 1.0, 6, dtype=torch.float64)
@@ -254,3 +255,18 @@ def test_it_resumes_bit_for_bit(way):
 def test_too_few_candidates_or_no_memory_are_refused(options):
     with pytest.raises(InvalidArgumentError, match="n_candidates ≥ n_rollouts and memory ≥ 1 are needed"):
         make(**options)
+
+
+def test_what_was_predicted_is_said_beside_what_was_measured():
+    optim, closure = learned(0.0, 6)
+    a, b = (e.detach() for e in optim.ask())
+    state = [optim.state[p] for p in optim.param_groups[0]["params"]]
+    Z, z = (torch.cat([x.flatten(-2), y], -1) for x, y in ([entry["tried"] for entry in state], (a, b)))
+    regression = Regression(Z, state[0]["tried_cost"], ratio=state[0]["noise_ratio"])
+    predicted, costs = regression.predict(z)[2:], []
+    optim.step(lambda: costs.append(closure()) or costs[0])
+    said = optim.scalars()
+    assert said["surrogate/length"] == pytest.approx(float(regression.length.mean()))
+    assert said["surrogate/predicted_cost"] == pytest.approx(float(predicted.mean()), rel=1e-6)
+    error = (predicted - costs[0][2:].detach()).square().mean().sqrt()
+    assert said["surrogate/error"] == pytest.approx(float(error), rel=1e-6)

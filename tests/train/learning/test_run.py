@@ -98,3 +98,14 @@ def test_zero_updates_leave_the_imitated_policy(tmp_path):
 @pytest.mark.slow
 def test_every_exploration_and_decay_runs(exploration, decay, tmp_path):
     run(options_for("via_point", updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))
+
+
+def test_a_learner_that_finds_noise_says_how_much_there_was(tmp_path, capsys):
+    options = options_for("via_point", runs=20, updates=10, optimizer="surrogate", logdir=tmp_path, cost_noise=0.5)
+    folder = run(options)
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("estimated noise"))
+    share = float(line.split()[-5].rstrip("%"))
+    assert 25 < share < 100 and line.endswith("% of the initial cost")
+    assert {"surrogate/noise", "surrogate/length", "surrogate/predicted_cost", "surrogate/error"} <= set(
+        EventAccumulator(str(folder)).Reload().Tags()["scalars"]
+    )

@@ -42,7 +42,7 @@ def test_each_figure_and_claim_stands_in_the_file_of_its_section():
     for number, home in homes.items():
         section = [name for name, start in first.items() if start <= number][-1]
         assert home == f"train.paper.figures.{section}"
-    sections = {"3": ["via_points"], "4": ["noise", "stable"], "5": ["impedance"], "6": ["digging"]}
+    sections = {"3": ["via_points"], "4": ["noise", "stable"], "5": ["impedance"], "6": ["digging"], "7": ["limits"]}
     for claim in CLAIMS.values():
         name = claim.measure.__module__.rsplit(".", 1)[-1]
         assert name in sections[claim.where[0]] or name == "base"  # `each` makes one of two
