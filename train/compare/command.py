@@ -6,7 +6,8 @@ import copy
 import hashlib
 import json
 import time
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -15,10 +16,11 @@ from tqdm import tqdm
 import tasks
 from tasks import PROBLEMS
 from tasks.loading import is_spec, short
+from tasks.transfer import TRANSFER
 from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
-from train.compare import report
+from train.compare import report, suite
 from train.compare.report import Outcome
-from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder, check_identity, new_folder, versions
+from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder, check_identity, new_folder, versions, write_text
 from train.learning.history import results
 from train.learning.learner import Learner
 from train.options import Optimizer, RunOptions, check_seed, options_class
@@ -29,6 +31,7 @@ SAVE_EVERY = 10.0  # s between two checkpoints
 TUNING_SEED = 1000  # added to the seed of the reported runs
 
 CoordinateKind = Literal["plain", "trajectory"]
+KNOWN = PROBLEMS | TRANSFER
 
 
 class Candidate(NamedTuple):
@@ -73,6 +76,10 @@ class Compare:
     """Standard deviation of noise in the cost of each trial, as a share of the initial policy's cost."""
     add: tuple[Path, ...] = ()
     """Folders of finished runs to list too, of whatever command; here PPO and SAC come in."""
+    suite: Literal["docs"] | None = None
+    """Make all tables of the documentation, with these --runs, --seed, --factors and --updates; their rows are given."""
+    keep: Path | None = None
+    """With --suite: the folder whose pages get the tables."""
     logdir: Path = field(default_factory=lambda: Path("logs"))
     """Where to write: LOGDIR/compare/."""
 
@@ -86,6 +93,8 @@ class Compare:
         """
         check_seed(self.seed)
         self.check()
+        if self.suite is not None:
+            return self.all_tables()
         added = [self.added(path) for path in self.add]
         candidates = [
             Candidate(problem, optimizer, coordinates)
@@ -93,26 +102,56 @@ class Compare:
             for optimizer in self.optimizers
             for coordinates in self.coordinates
         ]
-        rows: list[Outcome] = []
         with tqdm(total=len(candidates), unit="row", dynamic_ncols=True) as bar:
-            try:
-                for candidate in candidates:
-                    bar.set_postfix_str(f"{candidate.problem}: {candidate.label}")
-                    rows.append(self.row(candidate, bar))
-                    bar.update()
-            except KeyboardInterrupt:
-                raise Interrupted("stopped; the same command continues") from None
-        rows += added
+            rows = self.rows(candidates, bar) + added
         folder = new_folder(self.logdir / "compare")
         text = report.write(folder, rows, self.to_json(), versions())
         print(text)
         print(f"tables, curves and TensorBoard files in {folder}")
         return folder
 
+    def all_tables(self) -> Path:
+        """The tables of the documentation, in a folder of their own and, with `keep`, in the pages."""
+        made, parts = [], list(suite.parts())
+        total = sum(len(part.problems) * len(part.methods) for part in parts)
+        with tqdm(total=total, unit="row", dynamic_ncols=True) as bar:
+            for part in parts:
+                factors = self.factors if part.tuned else (1.0,)
+                one = replace(self, suite=None, noise_std=part.noise, factors=factors)
+                candidates = [Candidate(problem, *method) for problem in part.problems for method in part.methods]
+                made.append(suite.Made(part, one.rows(candidates, bar)))
+        said = "" if self.updates is None else f" --updates {self.updates}"
+        command = f"python -m train compare --suite docs --runs {self.runs} --seed {self.seed}{said}"
+        tables = suite.tables(made, command)
+        folder = new_folder(self.logdir / "compare")
+        text = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
+        write_text(folder / "suite.md", f"{text}\n")
+        if self.keep is not None:
+            suite.keep(self.keep, tables)
+        print(text)
+        print(f"suite.md in {folder}")
+        return folder
+
+    def rows(self, candidates: Sequence[Candidate], bar: tqdm) -> list[Outcome]:
+        """All rows, each as soon as it is there on the disk.
+
+        Raises:
+            Interrupted: from the keyboard; the same command continues.
+        """
+        found = []
+        try:
+            for candidate in candidates:
+                bar.set_postfix_str(f"{candidate.problem}: {candidate.label}")
+                found.append(self.row(candidate, bar))
+                bar.update()
+        except KeyboardInterrupt:
+            raise Interrupted("stopped; the same command continues") from None
+        return found
+
     def check(self) -> None:
         """Refuse what cannot be compared, before anything runs."""
         for kind, received, known in (
-            ("problem", [name for name in self.tasks if not is_spec(name)], PROBLEMS),
+            ("problem", [name for name in self.tasks if not is_spec(name)], KNOWN),
             ("optimizer", [name for name in self.optimizers if not is_spec(name)], get_args(Optimizer)),
             ("coordinates", [name for name in self.coordinates if not is_spec(name)], get_args(CoordinateKind)),
         ):
@@ -127,7 +166,8 @@ class Compare:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {**asdict(self), "logdir": str(self.logdir), "add": [str(path) for path in self.add]}
+        paths = {name: str(getattr(self, name)) for name in ("logdir", "keep")}
+        return {**asdict(self), **paths, "add": [str(path) for path in self.add]}
 
     # ------------------------------------------------------------------ one row
 
@@ -160,7 +200,7 @@ class Compare:
 
     def options(self, candidate: Candidate, factor: float, runs: int, seed: int) -> RunOptions:
         """The options of one batch of runs."""
-        task, own = PROBLEMS.get(candidate.problem, (candidate.problem, {}))
+        task, own = KNOWN.get(candidate.problem, (candidate.problem, {}))
         kind: Any = options_class(task)
         stable = kind.exploration == "stable"  # the policy's goal is tied: so are all coordinates
         usual = {"plain": kind.exploration, "trajectory": "stable-trajectory" if stable else "trajectory"}
