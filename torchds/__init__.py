@@ -56,6 +56,7 @@ else:
     from torchds import passive as passive
     from torchds import plants as plants
     from torchds import poses as poses
+    from torchds import sessions as sessions
     from torchds import stability as stability
     from torchds import visits as visits
     from torchds.demonstrations import Demonstration as Demonstration
@@ -114,6 +115,7 @@ __all__ = [
     "poses",
     "recruit",
     "rollout",
+    "sessions",
     "stability",
     "visits",
 ]

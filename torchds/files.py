@@ -66,6 +66,23 @@ def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> N
         raise FileError(f"{path} cannot be written: {reason(error)}; what was there before is unchanged") from error
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it.
+
+    Raises:
+        FileError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"the folder {path} cannot be made: {reason(error)}; give another one") from error
+
+
 def _flush_folder(path: Path) -> None:
     """Have the system write the entries of a folder to the disk."""
     handle = os.open(path, os.O_RDONLY)

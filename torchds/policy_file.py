@@ -93,7 +93,7 @@ def write(path: str | Path, values: Mapping[str, Tensor], info: Info) -> None:
     Raises:
         FileError: see `torchds.files.write_atomically`.
     """
-    content: dict[str, Any] = {"values": values, **info._asdict(), "names": list(info.names), "versions": _versions()}
+    content: dict[str, Any] = {"values": values, **info._asdict(), "names": list(info.names), "versions": versions()}
     files.save(path, KIND, _of_its_own(content), without_torch=True)
 
 
@@ -119,7 +119,8 @@ def _of_its_own(value: Any) -> Any:
     return value.detach().cpu().clone(memory_format=torch.contiguous_format) if isinstance(value, Tensor) else value
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of the packages that a file of a policy depends on."""
     found = {}
     for package in ("torchds", "torch", "numpy"):
         try:

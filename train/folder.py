@@ -16,6 +16,8 @@ from typing import Any, Protocol
 from tasks import Task
 from torchds import GMRPolicy, files, kernels, load_policy
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
+from torchds.files import make_folder as make_folder
+from torchds.files import write_text as write_text
 from torchds.locks import one_writer
 from train.options import RunOptions, options_class
 
@@ -253,18 +255,6 @@ def _versions() -> dict[str, str]:
 # ------------------------------------------------------------------ folders and texts
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder and those above it.
-
-    Raises:
-        FileError: it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"the folder {path} cannot be made: {files.reason(error)}; give another one") from error
-
-
 def new_folder(parent: Path, ending: str = "") -> Path:
     """Make PARENT/<time><ending>, a new one in any case."""
     stem = f"{time.strftime('%Y%m%d-%H%M%S')}{ending}"
@@ -278,11 +268,6 @@ def new_folder(parent: Path, ending: str = "") -> Path:
             raise FileError(f"the folder {path} cannot be made: {files.reason(error)}; give another one") from error
         return path
     raise FileError(f"cannot make a new folder like {parent / stem}")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    files.write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def numbers(value: Any) -> Any:

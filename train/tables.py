@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from torchds.files import write_atomically
+from torchds.sessions.records import aligned as aligned
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = "") -> str:
@@ -21,23 +22,6 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], align: str = 
     rule = [{"r": "---:"}.get(letter, "---") for letter in align.ljust(len(header))]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (header, *rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in (cells[0], rule, *cells[1:]))
-
-
-def aligned(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table for the terminal: numbers to the right and with four digits, text to the left.
-
-    Args:
-        header: names of the columns.
-        rows: one cell for each column. A column whose cells are all numbers is set to the right.
-    """
-    texts = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    columns = []
-    for i, name in enumerate(header):
-        column = [name, *(row[i] for row in texts)]
-        width = max(map(len, column))
-        numbers = rows and all(isinstance(row[i], int | float) for row in rows)
-        columns.append([cell.rjust(width) if numbers else cell.ljust(width) for cell in column])
-    return "\n".join("  ".join(line).rstrip() for line in zip(*columns, strict=True))
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -7,8 +7,8 @@ import torch
 from tests.faults import cases
 from torchds import GaussianMixture, GMRPolicy, archives, files
 from torchds.errors import FileError, TorchdsError
+from torchds.sessions import given
 from train.folder import RunFolder
-from train.hardware import given
 from train.learning.history import History, results
 from train.options import options_for
 from train.paper.claims import command as claims

@@ -14,6 +14,7 @@ from tests.faults.cases import fuzz
 from torchds import files
 from torchds.errors import FileError, InvalidArgumentError
 from torchds.locks import one_writer
+from torchds.sessions import tables
 from train.hardware import robot_files
 from train.hardware.command import SessionOptions
 from train.hardware.questions import question
@@ -205,7 +206,7 @@ def test_a_file_that_grows_is_not_read(folder, monkeypatch):
         with path.open("a") as file:
             file.write("4,")
 
-    monkeypatch.setattr(robot_files.time, "sleep", meanwhile)
+    monkeypatch.setattr(tables.time, "sleep", meanwhile)
     with pytest.raises(FileError, match=r"costs\.csv: somebody is writing it"):
         Session.open(folder).tell()
 

@@ -24,6 +24,7 @@ LIBRARY = [
     {"sensitivity", "exporting", "fits", "recruiting"},
     {"exploration"},
     {"optim", "plotting"},
+    {"sessions"},
     {"testing"},
 ]
 TASKS = [

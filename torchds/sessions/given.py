@@ -2,6 +2,8 @@
 
 `asked.json` stands beside them with the id that the session's state has, and a digest of each: it is written last, so that a
 folder without it was not finished.
+
+Stability: experimental.
 """
 
 from __future__ import annotations
@@ -11,23 +13,26 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from torchds.errors import FileError, InvalidArgumentError
-from torchds.files import digest, read_sealed, reason, write_sealed
-from train.folder import CHECKPOINT, OPTIONS, make_folder, write_text
-from train.hardware.records import hint
-from train.hardware.robot_files import COSTS
+from torchds.files import digest, make_folder, read_sealed, reason, write_sealed, write_text
+from torchds.sessions.tables import COSTS
 
 STATE, ASKED = "session.pt", "asked.json"
+RUN = ("options.json", "checkpoint.pt")  # what the folder of a training run has
 
 
-def refuse_used(folder: Path) -> None:
+def refuse_used(folder: Path, next: str) -> None:
     """Refuse a folder that is in use already.
+
+    Args:
+        folder: of a session to begin.
+        next: what to do where a session is there already.
 
     Raises:
         InvalidArgumentError: a session is there, or a run.
     """
     if (folder / STATE).exists() or list(folder.glob("update-*")):
-        raise InvalidArgumentError(f"{folder} holds a session already; {hint('status', folder)}")
-    if (folder / OPTIONS).exists() or (folder / CHECKPOINT).exists():
+        raise InvalidArgumentError(f"{folder} holds a session already; {next}")
+    if any((folder / name).exists() for name in RUN):
         raise InvalidArgumentError(f"{folder} holds a run; give another folder for the session")
 
 
