@@ -9,13 +9,16 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
+import os
+import secrets
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -149,3 +152,41 @@ def _members_said(path: Path) -> int | None:
     at = tail.rfind(b"PK\x05\x06")
     count = int.from_bytes(tail[at + 10 : at + 12], "little") if 0 <= at <= len(tail) - 22 else 0xFFFF
     return None if count == 0xFFFF else count  # so many, or written elsewhere
+
+
+def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
+    """Call `write(stream)`, then move what it wrote into place: the old file stays until the new one is whole.
+
+    Args:
+        path: of the file; a link is replaced, not followed.
+        write: puts the content into an empty file that belongs to this call alone.
+
+    Raises:
+        FileError: the disk is full, read-only or gone; nothing has changed.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(6)}.part")
+    try:
+        handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                write(stream)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise
+        _flush_folder(path.parent)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {reason(error)}; what was there before is unchanged") from error
+
+
+def _flush_folder(path: Path) -> None:
+    """Have the system write the entries of a folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

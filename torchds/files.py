@@ -9,19 +9,16 @@ Stability: stable.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
 import math
-import os
 import pickle
-import secrets
 import struct
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,39 +28,11 @@ from torchds import archives
 from torchds.archives import check_sizes
 from torchds.archives import existing as existing
 from torchds.archives import reason as reason
+from torchds.archives import write_atomically as write_atomically
 from torchds.errors import FileError
 
 FORMAT = 1  # of the envelope below; a file of a later one is refused
 SEAL = archives.SEAL
-
-
-def write_atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
-    """Call `write(stream)`, then move what it wrote into place: the old file stays until the new one is whole.
-
-    Args:
-        path: of the file; a link is replaced, not followed.
-        write: puts the content into an empty file that belongs to this call alone.
-
-    Raises:
-        FileError: the disk is full, read-only or gone; nothing has changed.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(6)}.part")
-    try:
-        handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                write(stream)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise
-        _flush_folder(path.parent)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {reason(error)}; what was there before is unchanged") from error
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -81,15 +50,6 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"the folder {path} cannot be made: {reason(error)}; give another one") from error
-
-
-def _flush_folder(path: Path) -> None:
-    """Have the system write the entries of a folder to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 # ------------------------------------------------------------------ tensors and plain values

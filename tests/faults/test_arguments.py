@@ -110,6 +110,9 @@ def pendulum():
     return torchds.impedance.arm(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
 
 
+PLANE = torchds.sessions.Layout(("x [m]", "y [m]"))
+
+
 def saved(**given):
     """What a file says of goal and P."""
     with tempfile.TemporaryDirectory() as folder:
@@ -301,13 +304,15 @@ CASES = {
         lambda target, goal: controlled(lambda c: c.retarget(target, goal=goal)),
         {"target": GOAL, "goal": GOAL + 1},
     ),
+    "sessions.trial.Trial": (lambda x0: torchds.sessions.Trial(x0, T, DT, PLANE).reference(POLICY).x, {"x0": GOAL}),
     "preparation.Preparation.shift_to_goal": (lambda goal: list(DEMOS.shift_to_goal(goal)), {"goal": GOAL}),
     "preparation.Preparation.with_stiffness": (lambda value: list(DEMOS.with_stiffness(value)), {"value": GOAL + 9}),
 }
 
 # Not for people: what the library hands from one part to another, and what only holds it.
 INSIDE = {
-    "cartesian.CartesianImpedance", "cartesian.CartesianImpedance.in_plane", "targets.Plane.state", "targets.Plane.turn",
+    "cartesian.CartesianImpedance", "cartesian.CartesianImpedance.in_plane", "sessions.trial.Trial.terms",
+    "targets.Plane.state", "targets.Plane.turn",
     "exploration.base.Exploration.__call__", "exploration.base.Exploration.measure",
     "exploration.gaussian.Gaussian.__call__", "exploration.homogeneous.Homogeneous.__call__",
     "exploration.homogeneous.Homogeneous.measure", "exploration.stable.Stable.__call__", "exploration.stable.Stable.measure",
@@ -324,7 +329,12 @@ INSIDE = {
     "starts.fit_batch", "stops.Bounds.__call__", "stops.Walls.__call__", "testing.check_plant", "testing.check_policy",
     "testing.check_stop", "visits.whole",
 }  # fmt: skip
-ELSEWHERE = {"optim.base.PolicySearch.ask", "visits.report"}  # tests/faults/test_optimizer.py
+ELSEWHERE = {
+    "optim.base.PolicySearch.ask",
+    "visits.report",  # tests/faults/test_optimizer.py
+    "control.playback.Playback.step",
+    "control.playback.Recorder.add",  # of numbers as they come, tests/torchds/control
+}
 
 ANY_LENGTH = {
     ("costs.acceleration_steps", "v"), ("costs.acceleration", "v"), ("costs.path_length", "v"), ("costs.stiffness", "s"),

@@ -164,7 +164,7 @@ class Books(ABC):
         for p, mine in zip(tried.parameters(), self.policy.parameters(), strict=True):
             p.data = mine.data + self.optim.state[mine]["noise"]
         asked = self.trial.reference(tried)
-        return Reference(*(part.reshape(-1, *part.shape[-2:]) for part in asked))
+        return Reference(*(part.reshape(self.optim.n_rollouts, *part.shape[-2:]) for part in asked))
 
     # ------------------------------------------------------------------ tell
 

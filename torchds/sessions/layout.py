@@ -28,7 +28,7 @@ class Layout:
         start: how far from the first point of its reference a recording may start, for each position and in its unit; a
             tenth of the motion's size by default.
         lever: how much one unit of each position counts where distances are judged, as 0.2 m for a radian; 1 by default.
-        max_gap: longest time between two samples of a recording [s].
+        max_gap: longest time between two samples of a recording [s], where the time step is not longer.
 
     Raises:
         InvalidArgumentError: no positions, a name twice or without a unit, or numbers that are not one positive for each.

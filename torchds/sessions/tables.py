@@ -213,10 +213,11 @@ def check_times(path: Path, t: np.ndarray, times: np.ndarray, jump: str, max_gap
     if steps.min() <= 0:
         at = int(steps.argmin()) + 1
         raise FileError(f"{path}: the time has to increase, but {t[at]:g} s follows {t[at - 1]:g} s.")
-    if steps.max() > max_gap:
+    longest = max(max_gap, times[1] + 1e-9)
+    if steps.max() > longest:
         at = int(steps.argmax())
         raise FileError(
-            f"{path}: nothing between {t[at]:g} and {t[at + 1]:g} s. Samples have to be at most {max_gap:g} s apart."
+            f"{path}: nothing between {t[at]:g} and {t[at + 1]:g} s. Samples have to be at most {longest:g} s apart."
             f"{jump and f' Or {jump}.'}"
         )
     slack = max(np.median(steps), times[1]) + 1e-9

@@ -209,7 +209,7 @@ def test_killed_at_every_write_and_typed_again_a_session_ends_as_an_undisturbed_
                 move(source, target)
 
             with monkeypatch.context() as patch:
-                patch.setattr(files.os, "replace", write)
+                patch.setattr(os, "replace", write)
                 try:
                     return command()
                 except Killed:
