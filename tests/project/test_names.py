@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import torchds
+from torchds.errors import MissingPackageError
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,7 +28,11 @@ def test_every_public_name_exists(name):
 @pytest.mark.parametrize("name", ["torchds", *modules(torchds)])
 @pytest.mark.slow
 def test_the_examples_in_docstrings_run(name):
-    assert doctest.testmod(importlib.import_module(name)).failed == 0
+    try:
+        module = importlib.import_module(name)
+    except MissingPackageError as missing:  # compiled code, without what compiles it
+        pytest.skip(str(missing))
+    assert doctest.testmod(module).failed == 0
 
 
 def test_the_versions_agree():

@@ -44,6 +44,8 @@ SURE = (0.0039321, 0.10259, 0.35185, 0.71072, 1.1455)
 """What the sum of 1, 2, ... squares of unit normals exceeds 19 times out of 20: pairs of costs of one policy bound their noise
 from above by it."""
 
+WIDER = 0.7  # times the noise, relative to what policies differ by: how much more is explored where costs are noisy
+
 ENOUGH = 50  # roll-outs that tell noise from what policies differ by, where no policy was tried twice
 FEW = 80  # roll-outs that predict well where costs are exact
 
@@ -72,8 +74,8 @@ class SurrogatePIBB(PIBB):
 
     * Costs are not believed as measured. The update weighs the N roll-outs and as many candidates again as there were by what
       they are predicted to cost, exp(−30 (Ŝ − min Ŝ) / (max Ŝ − min Ŝ)).
-    * The exploration does not decay: policies of small steps differ by less than the noise. Elsewhere a scheduler says how far
-      it does.
+    * The exploration does not decay and is 1 + 0.7 √r times as wide, r the variance of the noise relative to that of what
+      policies differ by: policies of small steps differ by less than the noise. Elsewhere a scheduler says how far it decays.
 
     Args:
         params: as for `PIBB`.
@@ -173,14 +175,15 @@ class SurrogatePIBB(PIBB):
         return (known["cost_noise"] > NOISY * known["cost_signal"]) & judged
 
     def _candidates(self) -> list[list[Tensor]]:
-        """Noise `(n, *shape)` per group and parameter, which does not decay where costs are noisy."""
+        """Noise `(n, *shape)` per group and parameter, which is wide and does not decay where costs are noisy."""
         found, wide = [], self.noisy
         for group, exploration, unit in zip(
             self.param_groups, self.explorations, self._normals(self.n_candidates), strict=True
         ):
             lr = float(group["lr"])
-            if wide is not None and 0 < lr < group.get("initial_lr", lr):
-                factor = torch.where(wide, group["initial_lr"] / lr, 1.0)
+            if wide is not None and wide.any() and lr > 0:
+                wider = (1 + WIDER * self._known["noise_ratio"].sqrt()) * (group.get("initial_lr", lr) / lr)
+                factor = torch.where(wide, wider, 1.0)
                 unit = [z * factor.reshape(*wide.shape, *(1,) * (z.ndim - 1 - wide.ndim)) for z in unit]
             found.append(self._shape(group, exploration, unit))
         return found

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from tests.torchds.control.test_plan import values
+from tests.torchds.kernels.comparison import needs_numba
 from torchds.control import plain
 from torchds.control.plan import plan
 
 
+@needs_numba
 @pytest.mark.slow  # compiling takes seconds
 def test_random_ticks_are_those_of_numpy():
-    compiled = pytest.importorskip("torchds.control.compiled")
+    from torchds.control import compiled
+
     rng = np.random.default_rng(2)
     made = plan(
         values(K=5, D=3, O=4, stiffness_A=rng.normal(size=(5, 2, 3)), stiffness_b=rng.normal(size=(5, 2))), 0.01

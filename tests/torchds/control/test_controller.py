@@ -11,11 +11,12 @@ import pytest
 import torch
 
 import torchds
+from tests.torchds.kernels.comparison import needs_numba
 from torchds import Controller, control
 from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
 
 ROOT = Path(__file__).parents[3]
-FORMS = [False, pytest.param(True, marks=pytest.mark.slow)]  # compiling takes seconds
+FORMS = [False, pytest.param(True, marks=[needs_numba, pytest.mark.slow])]  # compiling takes seconds
 SIZES = [{}, {"O": 3}, {"K": 1, "D": 1, "O": 1}, {"K": 4, "D": 3, "O": 3, "Q": 2}]
 
 
@@ -113,6 +114,7 @@ def test_bounds_hold_and_what_was_cut_is_reported(random_policy, randn, compiled
     assert seen == {"speed", "acceleration", "workspace"}
 
 
+@needs_numba
 @pytest.mark.slow
 def test_the_compiled_tick_is_the_plain_one(random_policy):
     policy = random_policy(K=4, D=3, O=4, Q=2)
