@@ -24,7 +24,7 @@ from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder, check_identit
 from train.learning.history import results
 from train.learning.learner import Learner
 from train.options import Optimizer, RunOptions, check_seed, options_class
-from train.searchers.named import METHODS
+from train.searchers.named import METHODS, runs_vary
 from train.statistics import median
 
 SAVE_EVERY = 10.0  # s between two checkpoints
@@ -173,8 +173,8 @@ class Compare:
 
     def row(self, candidate: Candidate, bar: tqdm) -> Outcome:
         """Tune, run, and summarise one candidate; what a method refuses is its row."""
-        random = self.random(candidate.optimizer)
         try:
+            random = self.random(candidate)
             tuned = (
                 {factor: self.final(candidate, factor, bar) for factor in self.factors} if len(self.factors) > 1 else {}
             )
@@ -189,14 +189,15 @@ class Compare:
 
     def final(self, candidate: Candidate, factor: float, bar: tqdm) -> float:
         """What the choice goes by: the median final cost of the tuning runs, infinite where it is not a number."""
-        random = self.random(candidate.optimizer)
+        random = self.random(candidate)
         runs, seed = (self.tuning_runs, self.seed + TUNING_SEED) if random else (1, self.seed)
         cost = median(self.learned(self.options(candidate, factor, runs, seed), bar)["cost"][-1])
         return cost if cost == cost else float("inf")
 
-    def random(self, optimizer: str) -> bool:
-        """Whether runs of an optimizer differ."""
-        return optimizer not in METHODS or METHODS[optimizer].random or self.noise_std > 0
+    def random(self, candidate: Candidate) -> bool:
+        """Whether runs of a candidate differ."""
+        options = self.options(candidate, 1.0, 1, self.seed)
+        return runs_vary(options, made(options))
 
     def options(self, candidate: Candidate, factor: float, runs: int, seed: int) -> RunOptions:
         """The options of one batch of runs."""

@@ -185,8 +185,9 @@ def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, s
         "Every method's first step (width of noise, rate, or trust region) was tuned by one factor over the grid "
         f"{', '.join(f'{factor:.2g}' for factor in options['factors'])}, by the median final cost of {options['tuning_runs']} "
         "runs on seeds of their own. Where nothing is random there is one run, and the choice is made on the very run that "
-        "is reported: that favours those rows. Nothing else was tuned for any row. cobyqa and lbfgs report the best point "
-        "tried, cma and nes the mean, adam, sgd and finite_differences where they stand.",
+        "is reported: that favours those rows. Nothing else was tuned for any row. cobyqa, lbfgs and adam report the best "
+        "point tried (adam, where costs are noisy, the present one), cma and nes the mean, sgd and finite_differences the "
+        "present one.",
     ]
     for problem, members in by_problem(rows).items():
         parts += [f"## {problem}", table(members)]

@@ -82,9 +82,11 @@ def results(task: str, options: dict[str, Any], history: History) -> dict[str, A
 
 
 def table(history: History) -> str:
-    """Initial and final cost by term: median and quartiles over runs."""
-    rows = []
-    for name, values in {"total": history.cost, **history.terms}.items():
+    """Initial and final cost by term: median and quartiles over runs; the bare cost of one run."""
+    columns, rows = {"total": history.cost, **history.terms}, []
+    if len(history.cost[-1]) == 1:
+        return aligned(("cost", "initial", "final"), [(name, v[0][0], v[-1][0]) for name, v in columns.items()])
+    for name, values in columns.items():
         q1, middle, q3 = quartiles(values[-1])
         rows.append((name, median(values[0]), middle, f"[{q1:.4g}, {q3:.4g}]"))
     return aligned(("cost", "initial", "final: median", "[q1, q3]"), rows)

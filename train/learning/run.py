@@ -20,6 +20,7 @@ from train.learning.events import Events
 from train.learning.history import results, table
 from train.learning.learner import Learner
 from train.options import RunOptions, check_seed
+from train.searchers.named import runs_vary
 from train.statistics import median, quartiles
 
 SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
@@ -56,7 +57,13 @@ def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
     """
     if options.resume is None:
         check(options)
-        learner = Learner(options)
+        task = options.make_task()
+        if options.runs > 1 and not runs_vary(options, task):
+            print(
+                f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {options.runs}"
+            )
+            options = replace(options, runs=1)
+        learner = Learner(options, task)
         folder = RunFolder.new(options.logdir, options.name, short(options.optimizer), options.seed)
         with folder.alone():
             folder.begin(options.task, options.to_json())

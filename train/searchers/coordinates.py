@@ -32,6 +32,7 @@ class Brief(NamedTuple):
         n_rollouts: trials between two updates of methods that try several at once.
         scale: factor on the method's first step.
         seed: of all its randomness.
+        noisy: whether a trial made again may cost another amount.
     """
 
     runs: int
@@ -39,6 +40,7 @@ class Brief(NamedTuple):
     n_rollouts: int
     scale: float
     seed: int
+    noisy: bool = False
 
 
 class Ask(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Generator
 from typing import Any
 
@@ -10,9 +11,14 @@ import torch
 from torch import Tensor, nn
 
 from train.searchers.coordinates import Answer, Ask, Asking, Brief
+from train.searchers.libraries import Objective, lockstep
 
-RATE = 0.1  # of Adam, for a scale of one; in standard deviations of the exploration
-WIDTH = 0.1  # of finite differences, the same unit
+# In standard deviations of the exploration, for a scale of one:
+STEP = 0.25  # the first of Adam on exact gradients; docs/choosing.md says why
+RATE = 0.1  # of the other descents
+WIDTH = 0.1  # of finite differences
+
+PATIENCE = 40  # trials
 
 Gradient = Generator[Ask, Answer, Tensor]
 
@@ -53,8 +59,30 @@ def _descend(
 
 
 def adam(brief: Brief) -> Asking:
-    """Adam on the exact gradient; every entry of z moves by at most about 0.1 a trial."""
-    return _descend(brief, exact, torch.optim.Adam, lr=RATE * brief.scale)
+    """Adam on the exact gradient; every entry of z moves by about a quarter of a standard deviation a trial, or less.
+
+    A step that is long enough to leave a bad minimum does not settle in a good one, and may end where nothing leads back. So
+    after `PATIENCE` trials none of which was the cheapest so far, a new Adam of half the step begins at that one, and it is
+    what is recommended. Where costs are noisy no trial is known to be the cheapest, and Adam goes on from where it stands.
+    """
+    rate = STEP * brief.scale
+    if brief.noisy:
+        return _descend(brief, exact, torch.optim.Adam, lr=rate)
+
+    def minimise(objective: Objective, start: Tensor) -> None:
+        best, lowest, step = start, math.inf, rate
+        while True:
+            z, idle = nn.Parameter(best.clone()), 0
+            optim = torch.optim.Adam([z], lr=step)
+            while idle < PATIENCE:
+                cost, z.grad = objective(z)
+                idle += 1
+                if cost < lowest:
+                    best, lowest, idle = z.detach().clone(), float(cost), 0
+                optim.step()
+            step /= 2
+
+    return lockstep(brief, minimise)
 
 
 def sgd(brief: Brief) -> Asking:

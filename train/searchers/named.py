@@ -56,6 +56,7 @@ def make_searcher(options: RunOptions, task: Task, policy: GMRPolicy, explore: E
         n_rollouts=n_rollouts,
         scale=options.scale,
         seed=options.seed,
+        noisy=trials_vary(options, task),
     )
     method = METHODS[options.optimizer]
     return CoordinateSearch(policy, explore(task, policy), method, brief, jacobian=along_motion(options))
@@ -81,6 +82,17 @@ def refuse(options: RunOptions, task: Task) -> None:
             f"--optimizer {name} searches in fixed coordinates and cannot shrink noise; with --exploration "
             f"{options.exploration} use --shrink none: b stays tied to the goal, stability is not kept"
         )
+
+
+def trials_vary(options: RunOptions, task: Task) -> bool:
+    """Whether a trial made again may cost another amount: there is noise, or the task goes on from trial to trial."""
+    return options.cost_noise > 0 or bool(task.state_dict())
+
+
+def runs_vary(options: RunOptions, task: Task) -> bool:
+    """Whether runs of these options differ; where they do not, one stands for all."""
+    method = METHODS.get(options.optimizer)
+    return method is None or method.random or trials_vary(options, task)
 
 
 def planned_updates(options: RunOptions, task: Task) -> int:

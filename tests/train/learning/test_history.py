@@ -38,6 +38,12 @@ def test_results_are_plain_and_complete(history):
     }
 
 
+def test_the_table_of_one_run_has_no_quartiles(history):
+    alone = History(cost=[[row[0]] for row in history.cost], terms={"via": [[2.0], [0.5]]})
+    lines = [line.split() for line in table(alone).splitlines()]
+    assert lines == [["cost", "initial", "final"], ["total", "4.5", "1.5"], ["via", "2", "0.5"]]
+
+
 def test_a_history_comes_back_from_its_plain_values(history):
     assert History(**json.loads(json.dumps(vars(history)))) == history
 

@@ -57,6 +57,15 @@ def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_pat
     assert costs(run(options))[1:] != costs(finished)[1:]
 
 
+@pytest.mark.parametrize(("noise", "runs"), [(0.0, 1), (0.1, 3)])
+@pytest.mark.slow
+def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, tmp_path, capsys):
+    folder = run(options_for("via_point", runs=3, updates=1, optimizer="adam", cost_noise=noise, logdir=tmp_path))
+    assert [len(row) for row in costs(folder)] == [runs, runs]
+    said = "nothing is random with --optimizer adam; one run stands for all 3" in capsys.readouterr().out
+    assert said == (runs == 1)
+
+
 @pytest.mark.slow
 def test_runs_of_one_batch_differ(finished):
     assert len(set(costs(finished)[-1])) == 2

@@ -11,7 +11,7 @@ from torchds.optim import PI2CMA
 from train.learning.learner import Learner
 from train.options import Optimizer, options_for
 from train.searchers.coordinates import CoordinateSearch
-from train.searchers.named import METHODS, make_searcher, n_updates
+from train.searchers.named import METHODS, make_searcher, n_updates, runs_vary
 from train.searchers.sampled import SAMPLED, SampledSearch
 
 GRADIENTS = [name for name, method in METHODS.items() if method.gradient]
@@ -46,6 +46,19 @@ def test_the_budget_is_shared_out_among_steps_of_the_size_that_a_searcher_needs(
 
 def test_every_name_of_the_option_is_one_optimizer():
     assert sorted(get_args(Optimizer)) == sorted([*SAMPLED, *METHODS])
+
+
+@pytest.mark.parametrize(
+    ("name", "vary"), [("adam", False), ("cobyqa", False), ("finite_differences", False), ("cma", True), ("pibb", True)]
+)
+def test_runs_vary_where_something_is_random(task, name, vary):
+    class Going(Short):
+        def state_dict(self):
+            return {"trials": 0}
+
+    assert runs_vary(options_for("via_point", optimizer=name), task) == vary
+    assert runs_vary(options_for("via_point", optimizer=name, cost_noise=0.1), task)
+    assert runs_vary(options_for("via_point", optimizer=name), Going())
 
 
 @pytest.mark.parametrize("name", GRADIENTS)
