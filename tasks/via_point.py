@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import torch
@@ -13,6 +13,7 @@ from tasks.base import Task
 from tasks.imitation import without_stiffness
 from tasks.settings import PAPER_FLOOR, PAPER_SEARCH, Motion, Scene
 from torchds import Demonstrations, GMRPolicy, Rollout, costs, load_lasa
+from torchds.dmp import DMP
 from torchds.errors import InvalidArgumentError
 
 
@@ -55,6 +56,8 @@ P = Setup(
 SCALE = 0.25  # LASA millimetres to units
 EVERY = 5  # every fifth sample is fitted
 ACCELERATION_WEIGHT = 1e-4
+N_BASIS = 12  # two weights each are the 24 parameters of four Gaussians
+DMP_CONTROL_WEIGHT = 8e-9  # noise that moves the motion as far costs as much as with 5e-4 there
 
 
 class ViaPoint(Task):
@@ -74,8 +77,16 @@ class ViaPoint(Task):
 
     shape: Literal["N", "P"] = "N"
     """Which letter is drawn."""
+    system: Literal["gmr", "dmp"] = "gmr"
+    """What draws it. gmr: the dynamical system, driven by its state. dmp: a dynamic movement primitive, driven by a phase."""
 
     def __post_init__(self) -> None:
+        if self.system not in ("gmr", "dmp") or (self.system == "dmp" and self.convention != "paper"):
+            raise InvalidArgumentError(
+                f"system has to be 'gmr', or 'dmp' with convention 'paper', got {self.system!r} and {self.convention!r}"
+            )
+        if self.system == "dmp":
+            self.search = replace(self.search, control_weight=DMP_CONTROL_WEIGHT)
         if self.shape not in self.setups:
             raise InvalidArgumentError(f"shape has to be {' or '.join(map(repr, self.setups))}, got {self.shape!r}")
         self.setup = self.setups[self.shape]
@@ -89,11 +100,21 @@ class ViaPoint(Task):
 
     def policy(self) -> GMRPolicy:
         """The imitated letter."""
+        if self.system == "dmp":
+            if self.source is None:
+                raise InvalidArgumentError(
+                    "system 'dmp' is fitted to demonstrations, got a mixture alone; give both, or none"
+                )
+            return DMP.fit(self.source, N_BASIS, self.goal)
         return without_stiffness(self.mixture, 2, 2, "this task learns no stiffness")
 
     def motion(self) -> Motion:
         """The motion from the one start."""
         return Motion(self.start, round(self.setup.duration / self.setup.dt), self.setup.dt)
+
+    def rollout(self, policy: GMRPolicy) -> Rollout:
+        """Try `policy`, of any batch_shape."""
+        return policy.rollout(*self.motion()) if isinstance(policy, DMP) else super().rollout(policy)
 
     def judged(self, path: Rollout) -> Tensor:
         """The positions `(*batch, T+1, 2)` that via-points and goal see."""

@@ -205,7 +205,9 @@ class GMRPolicy(ExpertParameters):
             raise InvalidArgumentError("this policy has no batch to index; make one with expand(n)")
         policy = self._with({name: p[index] for name, p in self.named_parameters()})
         for name, value in self.named_buffers(recurse=False):
-            if value.ndim - _CORE[name] == n:  # others are shared by the whole batch, or by its first dimension
+            if (
+                value.ndim - _CORE.get(name, value.ndim) == n
+            ):  # others are shared by the whole batch, or by its first dimension
                 setattr(policy, name, value[index].clone())
         policy.info = self.info.part(index, n)
         return policy

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from tasks import Task
 from torchds import GMRPolicy, files, kernels, load_policy
+from torchds.dmp import DMP
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import make_folder as make_folder
 from torchds.files import write_text as write_text
@@ -175,7 +176,9 @@ class RunFolder:
         return {**content, "cost": numbers(content["cost"]), "terms": numbers(content["terms"])}
 
     def save_policy(self, policy: GMRPolicy, task: Task) -> None:
-        """Write the policies, with what the task says about them."""
+        """Write the policies, with what the task says about them; primitives have no file, the checkpoint has their weights."""
+        if isinstance(policy, DMP):
+            return
         policy.save(self.path / POLICY, **task.about(policy))
 
     def policy(self) -> GMRPolicy:

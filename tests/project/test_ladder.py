@@ -20,7 +20,7 @@ LIBRARY = [
     {"policy", "targets"},
     {"fused_arm", "plants", "passive", "cartesian", "saving", "c_header"},
     {"arms"},
-    {"moments", "scanning", "impedance", "rollouts"},
+    {"moments", "scanning", "impedance", "rollouts", "dmp"},
     {"sensitivity", "exporting", "fits", "recruiting"},
     {"exploration"},
     {"optim", "plotting"},

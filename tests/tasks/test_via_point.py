@@ -124,3 +124,22 @@ def test_costs_by_steps_add_up_to_the_cost():
     v = path.v.numpy()
     expected = [[1e-4 * np.linalg.norm(v[r, j] - v[r, j - 1]) if j else 0.0 for j in range(199)] for r in range(2)]
     np.testing.assert_allclose(by_steps[:, :-1], expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("shape", ["N", "P"])
+def test_a_primitive_imitates_the_letter_with_as_many_parameters(shape):
+    task, other = tasks.make("via_point", shape=shape, system="dmp"), tasks.make("via_point", shape=shape)
+    primitive, system = task.policy(), other.policy()
+    free = [sum(p.numel() for p in policy.parameters() if p.requires_grad) for policy in (primitive, system)]
+    assert free == [24, 24]
+    mean = torch.stack([d.x for d in task.demonstrations]).mean(0)
+    away = [(path.x[:200] - mean).norm(dim=-1).mean() for path in (task.rollout(primitive), other.rollout(system))]
+    assert away[0] < 0.2 and away[0] < away[1]
+
+
+def test_a_primitive_needs_demonstrations_and_the_papers_convention():
+    mixture = tasks.make("via_point").mixture
+    with pytest.raises(InvalidArgumentError, match="fitted to demonstrations, got a mixture alone"):
+        tasks.make("via_point", system="dmp", mixture=mixture).policy()
+    with pytest.raises(InvalidArgumentError, match="'dmp' with convention 'paper', got 'dmp' and 'released'"):
+        tasks.make("via_point", system="dmp", convention="released")

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from tasks import Task
 from torchds import GMRPolicy, plotting
+from torchds.dmp import DMP
 from train.learning.history import History
 from train.learning.learner import Learner
 
@@ -77,7 +78,8 @@ def draw_imitated(axes: Axes, task: Task, policy: GMRPolicy) -> None:
     draw_scene(axes, task, policy, path.x)
     if task.source is not None:
         plotting.demonstrations(axes, task.source)
-    plotting.gaussians(axes, policy)
+    if not isinstance(policy, DMP):
+        plotting.gaussians(axes, policy)
     plotting.trajectories(axes, path.x, color=plotting.AFTER, label="imitated motion")
     source = "a mixture" if task.source is None else f"{len(task.source)} demonstrations"
     plotting.finish_map(axes, f"Learned from {source}", task.scene().unit)
@@ -106,7 +108,8 @@ def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor)
     x, y = plotting.limits(*seen, *(() if scene.walls is None else (scene.walls,)))
     axes.set_xlim(*x)
     axes.set_ylim(*y)
-    plotting.field(axes, policy)
+    if not isinstance(policy, DMP):  # what drives it is a phase, and no place
+        plotting.field(axes, policy)
     if scene.walls is not None:
         plotting.walls(axes, scene.walls)
     plotting.markers(axes, scene.starts, scene.goal, scene.via_points)

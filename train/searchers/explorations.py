@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from tasks import Task
 from tasks.loading import is_spec
 from torchds import GMRPolicy
+from torchds.dmp import DMP
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration, Gaussian, Homogeneous, Stable, TrajectorySpace
+from torchds.exploration.primitive import Along, alike
 from train.options import RunOptions
 from train.searchers.own import make_own
 
@@ -23,6 +25,8 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
     if is_spec(options.exploration):
         given = () if options.noise is None else (options.noise,)
         return make_own("exploration", options.exploration, Exploration, policy, *given)  # type: ignore[type-abstract]
+    if isinstance(policy, DMP):
+        return of_primitive(options, task, policy)
     search, learn = task.search, options.learn
     std = search.std if options.noise is None else options.noise
     if options.exploration == "gaussian":
@@ -57,6 +61,17 @@ def make_exploration(options: RunOptions, task: Task, policy: GMRPolicy) -> Expl
         0.0 if learn == "stiffness" else mean_speed,
         mean_stiffness=0.0 if learn == "motion" else mean_stiffness,
     )
+
+
+def of_primitive(options: RunOptions, task: Task, policy: DMP) -> Exploration:
+    """The noise of a dynamic movement primitive; `--noise` is a share of the motion's extent."""
+    kinds = {"homogeneous": alike, "gaussian": alike, "trajectory": Along.relative}
+    if options.exploration not in kinds:
+        raise InvalidArgumentError(
+            f"--exploration {options.exploration} needs a dynamical system; for a primitive use {' or '.join(kinds)}"
+        )
+    make: Any = kinds[options.exploration]
+    return cast(Exploration, make(policy, *task.motion(), *(() if options.noise is None else (options.noise,))))
 
 
 def sizes(task: Task, policy: GMRPolicy) -> tuple[float, float]:

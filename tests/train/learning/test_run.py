@@ -67,6 +67,14 @@ def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, tmp_path, c
 
 
 @pytest.mark.slow
+def test_a_primitive_leaves_figures_and_no_policy_file(tmp_path):
+    folder = run(options_for("via_point", system="dmp", runs=2, updates=2, logdir=tmp_path))
+    assert (folder / "motion.png").exists() and not (folder / "policy.pt").exists()
+    extended = run(options_for("via_point", resume=folder, updates=3), given={"resume", "updates"})
+    assert len(costs(extended)) == 4
+
+
+@pytest.mark.slow
 def test_runs_of_one_batch_differ(finished):
     assert len(set(costs(finished)[-1])) == 2
 

@@ -8,6 +8,7 @@ from tests.motions import Short
 from torchds import Demonstrations, rollout
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Gaussian, Homogeneous, TrajectorySpace
+from torchds.exploration.primitive import Along
 from train.options import options_for
 from train.searchers.explorations import along_motion, make_exploration
 
@@ -84,3 +85,15 @@ def test_noise_of_a_task_without_sizes_is_a_share_of_its_motion_in_any_unit(name
         shares.append(float(noise.norm(dim=-1).mean() / path.v.detach().norm(dim=-1).mean()))
     assert shares[0] == pytest.approx(shares[1], rel=0.02)
     assert 0.04 < shares[0] < 0.2
+
+
+def test_a_primitive_has_noise_of_its_own_and_no_stable_one():
+    task = Short(system="dmp")
+    kinds = {"homogeneous": Gaussian, "gaussian": Gaussian, "trajectory": Along}
+    for name, kind in kinds.items():
+        made = make_exploration(options_for("via_point", system="dmp", exploration=name), task, task.policy())
+        assert isinstance(made, kind)
+    with pytest.raises(
+        InvalidArgumentError, match="stable needs a dynamical system; for a primitive use homogeneous or"
+    ):
+        make_exploration(options_for("via_point", system="dmp", exploration="stable"), task, task.policy())

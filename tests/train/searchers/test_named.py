@@ -82,3 +82,13 @@ def test_options_of_sampled_noise_are_refused(task, option, value):
 def test_shrunk_noise_is_refused(task):
     with pytest.raises(InvalidArgumentError, match=r"cannot shrink noise; .*--shrink none"):
         learner(task, "cobyqa", exploration="stable")
+
+
+@pytest.mark.parametrize("name", [name for name in get_args(Optimizer) if name != "finite_differences"])
+@pytest.mark.slow
+def test_every_optimizer_learns_a_primitive(name):
+    """Along the motion where it is made for that; the cost falls within 60 roll-outs, for all but the score function."""
+    chosen = {"exploration": "trajectory"} if name == "surrogate" else {}
+    options = options_for("via_point", shape="P", system="dmp", optimizer=name, updates=6, rollouts=10, **chosen)
+    cost = [row[0] for row in Learner(options).learn().history.cost]
+    assert cost[-1] < (0.97 if name == "nes" else 0.9) * cost[0]
