@@ -184,6 +184,11 @@ class Task(ABC):
         self.__dict__.update(moved({**vars(self), "plant": self.plant, "stop": self.stop}, *self.place))
         return self
 
+    @property
+    def noisy(self) -> bool:
+        """Whether a trial made again may end otherwise: it draws from `chance`, or the task goes on from trial to trial."""
+        return bool(self.state_dict())
+
     # ------------------------------------------------------------------ what follows from it
 
     @property

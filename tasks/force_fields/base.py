@@ -126,9 +126,14 @@ class ArchTask(Task):
         if self.execution == "passive":
             self.plant = PassiveControlled(mass, None, low=self.low, high=self.high)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether there is sensor noise or a push."""
+        return bool(self.sensor_noise or self.pushes)
+
     def tried(self, policy: GMRPolicy) -> Plant | None:
         """The point mass and its controller, with noise of its own for each trial."""
-        if self.chance is None or not (self.sensor_noise or self.pushes):
+        if self.chance is None or not self.noisy:
             return self.plant
         x0, n_steps, dt = self.motion()
         plant = copy.copy(self.plant)

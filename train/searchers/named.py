@@ -85,8 +85,8 @@ def refuse(options: RunOptions, task: Task) -> None:
 
 
 def trials_vary(options: RunOptions, task: Task) -> bool:
-    """Whether a trial made again may cost another amount: there is noise, or the task goes on from trial to trial."""
-    return options.cost_noise > 0 or bool(task.state_dict())
+    """Whether a trial made again may cost another amount."""
+    return options.cost_noise > 0 or task.noisy
 
 
 def runs_vary(options: RunOptions, task: Task) -> bool:

@@ -59,6 +59,9 @@ def test_runs_vary_where_something_is_random(task, name, vary):
     assert runs_vary(options_for("via_point", optimizer=name), task) == vary
     assert runs_vary(options_for("via_point", optimizer=name, cost_noise=0.1), task)
     assert runs_vary(options_for("via_point", optimizer=name), Going())
+    pushed, still = (tasks.make("half_plane_force", pushes=std) for std in (1.0, 0.0))
+    assert runs_vary(options_for("half_plane_force", optimizer=name), pushed)
+    assert runs_vary(options_for("half_plane_force", optimizer=name), still) == vary
 
 
 @pytest.mark.parametrize("name", GRADIENTS)
