@@ -103,7 +103,7 @@ def test_a_mixture_file_with_greek_names_is_read(tmp_path):
             "convention of task 'via_point' has to be 'paper' or 'released', got 'draft'",
         ),
         ({"convention": "released", "shape": "Q"}, InvalidArgumentError, "shape has to be 'N' or 'P', got 'Q'"),
-        ({"shapes": "N"}, InvalidArgumentError, "has no option shapes; it has shape, demonstrations"),
+        ({"shapes": "N"}, InvalidArgumentError, "has no option shapes; it has shape, system, demonstrations"),
     ],
 )
 def test_wrong_options_are_refused(options, error, words):
