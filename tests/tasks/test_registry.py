@@ -61,6 +61,6 @@ def test_a_name_and_a_convention_are_one_class():
 
 def test_an_option_that_a_task_does_not_have_is_refused_with_those_it_has():
     with pytest.raises(
-        InvalidArgumentError, match="has no option shapes, size; it has shape, demonstrations, mixture, conv"
+        InvalidArgumentError, match="has no option shapes, size; it has shape, system, demonstrations, mixture, conv"
     ):
         tasks.make("via_point", size=1, shapes="N")
