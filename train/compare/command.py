@@ -119,7 +119,9 @@ class Compare:
                 factors = self.factors if part.tuned else (1.0,)
                 one = replace(self, suite=None, noise_std=part.noise, factors=factors)
                 candidates = [Candidate(problem, *method) for problem in part.problems for method in part.methods]
-                made.append(suite.Made(part, one.rows(candidates, bar)))
+                rows = one.rows(candidates, bar)
+                others = [self.added(suite.deep(self.logdir, name, self.updates)) for name in part.environments]
+                made.append(suite.Made(part, [*rows, *others]))
         said = "" if self.updates is None else f" --updates {self.updates}"
         command = f"python -m train compare --suite docs --runs {self.runs} --seed {self.seed}{said}"
         tables = suite.tables(made, command)

@@ -6,17 +6,19 @@ import datetime
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 from tasks import PROBLEMS
 from tasks.transfer import TRANSFER
 from torchds.errors import InvalidArgumentError
 from train.compare.report import Outcome, by_problem, number
-from train.folder import versions, write_text
+from train.deep_rl.command import DeepRL
+from train.folder import RESULTS, versions, write_text
 from train.options import Optimizer
 from train.tables import markdown
 
 Method = tuple[str, str]  # optimizer and coordinates
+Environment = Literal["ViaPointN", "ViaPointP"]
 PAPER: Method = ("pibb", "plain")
 RECOMMENDED: Method = ("surrogate", "trajectory")
 
@@ -34,6 +36,7 @@ class Part(NamedTuple):
         methods: by what.
         noise: in the cost of each trial.
         tuned: whether each method's first step is.
+        environments: the same problems as PPO sees them.
     """
 
     table: str
@@ -41,6 +44,7 @@ class Part(NamedTuple):
     methods: Sequence[Method]
     noise: float = 0.0
     tuned: bool = False
+    environments: Sequence[Environment] = ()
 
 
 def parts() -> Iterator[Part]:
@@ -53,7 +57,7 @@ def parts() -> Iterator[Part]:
         yield Part("noise", LETTERS, (PAPER, RECOMMENDED, *others), noise)
     yield Part("gradients", LEARNED, (PAPER, ("adam", "plain"), ("lbfgs", "plain")))
     every = [(name, kind) for name in get_args(Optimizer) for kind in ("plain", "trajectory")]
-    yield Part("optimizers", LETTERS, every, tuned=True)
+    yield Part("optimizers", LETTERS, every, tuned=True, environments=("ViaPointN", "ViaPointP"))
 
 
 class Made(NamedTuple):
@@ -65,6 +69,13 @@ class Made(NamedTuple):
     def groups(self) -> Mapping[str, list[Outcome]]:
         """The rows of each problem."""
         return by_problem(self.rows)
+
+
+def deep(logdir: Path, environment: Environment, updates: int | None) -> Path:
+    """The folder of three runs of PPO at the budget of the others, which are made if they are not there."""
+    logdir = logdir / "compare" / "deep_rl" / environment
+    finished = sorted(logdir.glob(f"*/*/*/{RESULTS}"))
+    return finished[-1].parent if finished else DeepRL(environment, updates=updates, logdir=logdir).main()
 
 
 def end(row: Outcome) -> str:

@@ -108,3 +108,19 @@ def test_the_pages_have_a_place_for_every_table():
     text = "".join(path.read_text() for path in docs.glob("*.md"))
     for name in suite.TABLES:
         assert text.count(f"<!-- suite: {name} -->\n") == 1, name
+
+
+def test_agents_that_are_there_are_not_learned_again(tmp_path, monkeypatch):
+    class Agent:
+        def __init__(self, environment, updates, logdir):
+            self.folder = logdir / "via_point" / "ppo" / "now-0"
+
+        def main(self):
+            self.folder.mkdir(parents=True)
+            (self.folder / "results.json").write_text("{}")
+            return self.folder
+
+    monkeypatch.setattr(suite, "DeepRL", Agent)
+    first = suite.deep(tmp_path, "ViaPointN", 3)
+    monkeypatch.setattr(suite, "DeepRL", None)
+    assert suite.deep(tmp_path, "ViaPointN", 3) == first
