@@ -46,6 +46,8 @@ from above by it."""
 
 WIDER = 0.7  # times the noise, relative to what policies differ by: how much more is explored where costs are noisy
 
+IMAGINED = 1000  # policies that are averaged too where costs are noisy, weighed by what they are predicted to cost
+
 ENOUGH = 50  # roll-outs that tell noise from what policies differ by, where no policy was tried twice
 FEW = 80  # roll-outs that predict well where costs are exact
 
@@ -72,7 +74,7 @@ class SurrogatePIBB(PIBB):
 
     Where costs are noisy, by more than a twentieth of what policies have differed by (`NOISY`), two things change for the run:
 
-    * Costs are not believed as measured. The update weighs the N roll-outs and as many candidates again as there were by what
+    * Costs are not believed as measured. The update weighs the N roll-outs, and 1000 policies that are only imagined, by what
       they are predicted to cost, exp(−30 (Ŝ − min Ŝ) / (max Ŝ − min Ŝ)).
     * The exploration does not decay and is 1 + 0.7 √r times as wide, r the variance of the noise relative to that of what
       policies differ by: policies of small steps differ by less than the noise. Elsewhere a scheduler says how far it decays.
@@ -174,12 +176,10 @@ class SurrogatePIBB(PIBB):
         judged = known["noise_bound"].isfinite() | (len(known["tried_cost"]) >= ENOUGH)
         return (known["cost_noise"] > NOISY * known["cost_signal"]) & judged
 
-    def _candidates(self) -> list[list[Tensor]]:
+    def _candidates(self, n: int) -> list[list[Tensor]]:
         """Noise `(n, *shape)` per group and parameter, which is wide and does not decay where costs are noisy."""
         found, wide = [], self.noisy
-        for group, exploration, unit in zip(
-            self.param_groups, self.explorations, self._normals(self.n_candidates), strict=True
-        ):
+        for group, exploration, unit in zip(self.param_groups, self.explorations, self._normals(n), strict=True):
             lr = float(group["lr"])
             if wide is not None and wide.any() and lr > 0:
                 wider = (1 + WIDER * self._known["noise_ratio"].sqrt()) * (group.get("initial_lr", lr) / lr)
@@ -213,7 +213,7 @@ class SurrogatePIBB(PIBB):
         if normals is not None or "tried_cost" not in known:
             first = super()._propose(normals)
             return first if normals is not None else self._doubled(first)
-        drawn = self._candidates()
+        drawn = self._candidates(self.n_candidates)
         regression = self._regression(known.get("noise_ratio"))
         predicted = regression.predict(self._coordinates(drawn))
         costs, best = predicted.topk(self.n_rollouts, dim=0, largest=False)
@@ -282,7 +282,7 @@ class SurrogatePIBB(PIBB):
         wide = cast(Tensor, self.noisy)
         known["noise_ratio"] = torch.where(wide, regression.ratio, RATIOS[0])
         if wide.any():
-            self._beyond = self._candidates()
+            self._beyond = self._candidates(IMAGINED)
             every = [
                 [torch.cat(both) for both in zip(*parts, strict=True)]
                 for parts in zip(tried, self._beyond, strict=True)
