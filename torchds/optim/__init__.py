@@ -13,6 +13,7 @@ from torchds.optim.repeats import repeated as repeated
 from torchds.optim.schedules import ExponentialDecay as ExponentialDecay
 from torchds.optim.schedules import InverseIteration as InverseIteration
 from torchds.optim.schedules import LinearDecay as LinearDecay
+from torchds.optim.sharded import sharded as sharded
 from torchds.optim.surrogate import SurrogatePIBB as SurrogatePIBB
 
 __all__ = [
@@ -27,4 +28,5 @@ __all__ = [
     "Update",
     "functional",
     "repeated",
+    "sharded",
 ]

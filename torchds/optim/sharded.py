@@ -1,0 +1,128 @@
+"""One update by many processes: each tries its share of the roll-outs, and all of them make the same step.
+
+Stability: experimental.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from torchds.devices import moved
+from torchds.errors import InvalidArgumentError
+from torchds.optim.evaluation import Closure, Table, Trial, evaluate
+from torchds.visits import Gated, Visit
+
+
+def sharded(closure: Closure, group: dist.ProcessGroup | None = None) -> Sharded:
+    """A closure whose N roll-outs are shared out over the processes of `torch.distributed`.
+
+    Every process makes the same optimizer with the same seed and the same parameters, and calls `step(sharded(closure))`. All
+    draw the same noise, since it comes from the seed; process r of R tries the roll-outs from N r/R up to N (r+1)/R. Costs, and
+    what the roll-outs visited, go to all processes, which make the same update: that of one process, bit for bit, where a
+    roll-out's numbers do not depend on its company, as those of `torchds.rollout(backend="fused")` do not.
+
+    What a closure draws by itself, noise of the system say, is another in each process, as it would be on robots.
+
+    Args:
+        closure: as for any search of `torchds.optim`, batched or not.
+        group: the processes; None for all. Where torch.distributed was not initialised there is one.
+
+    Returns:
+        A closure for `step`. A call of it is one of `closure`, the same in all processes.
+
+    Raises:
+        InvalidArgumentError: from `step`, if the processes do not try the same policies.
+        RuntimeError: from `step`, in all processes, if the closure raised in another one; from torch, if one of them is silent
+            for longer than the time out of the group. The parameters are as they were.
+
+    Example:
+        >>> import torch, torchds
+        >>> theta = torch.nn.Parameter(torch.zeros(2))
+        >>> optim = torchds.optim.PIBB([theta], torchds.exploration.Gaussian(0.3))
+        >>> cost = optim.step(torchds.optim.sharded(lambda: (theta - 1.0).square().sum(-1)))  # torchrun, or one process
+    """
+    return Sharded(closure, group)
+
+
+class Sharded:
+    """What `sharded` returns; a search evaluates it by `evaluate`."""
+
+    def __init__(self, closure: Closure, group: dist.ProcessGroup | None = None) -> None:
+        if not callable(closure):
+            raise InvalidArgumentError(
+                f"sharded needs a closure that returns the cost of the roll-outs, got {closure!r}"
+            )
+        self.closure, self.group = closure, group
+
+    def __call__(self) -> Tensor:
+        """The closure at the parameters as they stand."""
+        return self.closure()
+
+    def evaluate(self, noise: Table, n_rollouts: int, batched: bool) -> Trial:
+        """The trial of all roll-outs, of which this process makes its share.
+
+        Args:
+            noise: `(N, *shape)` for each parameter, the same in all processes.
+            n_rollouts: N.
+            batched: as for `PolicySearch`.
+        """
+        if not (dist.is_available() and dist.is_initialized()):
+            return evaluate(self.closure, noise, n_rollouts, batched)
+        rank, size = dist.get_rank(self.group), dist.get_world_size(self.group)
+        first, last = n_rollouts * rank // size, n_rollouts * (rank + 1) // size
+        mine = slice(first, max(last, first + 1))  # one at least, which shows what a roll-out reports
+        said: dict[str, Any] = {"policies": digest(noise)}
+        raised: Exception | None = None
+        visits: Sequence[Visit] = ()
+        try:
+            trial = evaluate(self.closure, {p: e[mine] for p, e in noise.items()}, mine.stop - mine.start, batched)
+            visits = trial.visits
+            share = [trial.costs, *(visit.visited for visit in visits)]
+            said["share"] = [moved(cut(part, last - first), "cpu") for part in share]
+        except Exception as error:
+            raised, said["error"] = error, f"{type(error).__name__}: {error}"
+        everyone: list[Any] = [None] * size
+        dist.all_gather_object(everyone, said, self.group)
+        if raised is not None:
+            raise raised
+        for other, told in enumerate(everyone):
+            if "error" in told:
+                raise RuntimeError(f"the closure raised in process {other}: {told['error']}")
+            if told["policies"] != said["policies"]:
+                raise InvalidArgumentError(
+                    f"processes {rank} and {other} do not try the same policies: give all optimizers the same generator seed, "
+                    "and the same parameters to begin with"
+                )
+        device = next(iter(noise)).device
+        costs, *visited = (
+            join([moved(part, device) for part in parts])
+            for parts in zip(*(told["share"] for told in everyone), strict=True)
+        )
+        return Trial(costs, [Visit(visit.policy, part) for visit, part in zip(visits, visited, strict=True)])
+
+
+def digest(noise: Table) -> str:
+    """Of the policies that are tried: parameters and their noise."""
+    found = hashlib.sha256()
+    for p, epsilon in noise.items():
+        for tensor in (p.data, epsilon):
+            found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return found.hexdigest()
+
+
+def cut(part: Tensor | Gated, n: int) -> Tensor | Gated:
+    """The first n roll-outs."""
+    return Gated(*(field[:n] for field in part)) if isinstance(part, Gated) else part[:n]
+
+
+def join(parts: Sequence[Any]) -> Any:
+    """All roll-outs."""
+    if isinstance(parts[0], Gated):
+        return Gated(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
+    return torch.cat(list(parts))
