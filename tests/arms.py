@@ -4,7 +4,9 @@ Kinematics are the published Denavit-Hartenberg parameters, torque limits those 
 (Panda: Gaz et al. 2019, rounded; UR5: Universal Robots), or ours (iiwa: 30 kg in all); each link is a ball in its middle.
 """
 
-from math import pi
+import sys
+from math import cos, pi, sin
+from pathlib import Path
 from typing import NamedTuple
 
 RADIUS = 0.06  # m
@@ -23,8 +25,6 @@ class Description(NamedTuple):
 
 def modified(a, d, alpha, flange):
     """Frames from parameters as in Craig's book."""
-    from math import cos, sin
-
     rows = zip((*a, 0.0), (*d, flange), (*alpha, 0.0), strict=True)
     return [(x, -z * sin(turn), z * cos(turn), turn) for x, z, turn in rows]
 
@@ -124,3 +124,15 @@ ARMS = {
         (0.2, -1.4, 1.7, -1.9, -1.5, 0.3),
     ),
 }
+
+
+def write(folder):
+    """Their files, `panda.urdf`, `iiwa.xml` and `ur5.urdf`, for `python -m train arm`: `python -m tests.arms FOLDER`."""
+    for name, arm in ARMS.items():
+        path = Path(folder) / f"{name}.{'urdf' if arm.text.startswith('<robot') else 'xml'}"
+        path.write_text(arm.text)
+        print(path, "--tool tool --posture", *arm.goal)
+
+
+if __name__ == "__main__":
+    write(sys.argv[1])

@@ -5,6 +5,8 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -48,24 +50,22 @@ class FusedArm:
             gains: what stays of the stiffness `(6,)`, and what s is multiplied with.
         """
         batch, J = state.q.shape[:-1], self.n_joints
-        q, v, mass, bias = (_array(part) for part in state)
-        position = _array(reference.x.expand(*batch, 3))
-        rotation = _array(reference.rotation.expand(*batch, 3, 3))
-        twist = _array(torch.cat([reference.v.expand(*batch, 3), reference.rate.expand(*batch, 3)], -1))
-        fixed, share = (_array(part) for part in gains)
-        made = [torch.empty(*batch, *axes, dtype=torch.float64) for axes in ((J,), (4, 4), (6,), (J,), (J,))]
-        fine = torch.empty(batch, dtype=torch.bool)
-        n = fine.numel()
-        parts = (q, v, mass, bias, position, rotation, twist)
-        given = [part.reshape(n, *part.shape[len(batch) :]) for part in parts]
-        out = [part.numpy().reshape(n, *part.shape[len(batch) :]) for part in made]
-        s = _array(stiffness.expand(batch)).reshape(n)
-        arm.law(n, *given, s, share, fixed, *self.constants, *out, fine.numpy().reshape(n))
-        if not bool(fine.all()):
+        n = math.prod(batch)
+        x, rotation, v, rate = reference
+        twist = torch.cat([v.expand(*batch, 3), rate.expand(*batch, 3)], -1)
+        given = (*state, x.expand(*batch, 3), rotation.expand(*batch, 3, 3), twist, stiffness.expand(batch))
+        sizes = ((J,), (J,), (J, J), (J,), (3,), (3, 3), (6,), ())
+        parts = [_array(part).reshape(n, *size) for part, size in zip(given, sizes, strict=True)]
+        made = [np.empty((n, *size)) for size in ((J,), (4, 4), (6,), (J,), (J,))]
+        fine = np.empty(n, dtype=np.bool_)
+        arm.law(n, *parts, *(_array(part) for part in (gains[1], gains[0])), *self.constants, *made, fine)
+        if not fine.all():
             raise InvalidArgumentError(
                 "mass has to be symmetric and positive definite; is it the matrix of all joints?"
             )
-        torque, pose, error, wanted, nullspace = made
+        torque, pose, error, wanted, nullspace = (
+            torch.from_numpy(part.reshape(*batch, *part.shape[1:])) for part in made
+        )
         return torque, pose, error, torque != wanted, nullspace
 
 

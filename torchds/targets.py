@@ -86,6 +86,15 @@ class Plane:
             raise InvalidArgumentError(f"plane has to be 'xy', 'yz' or 'xz', got {name!r}")
         self.first, self.second, self.normal, self.sign = _PLANES[name]
         self.offset = offset
+        one, other, out = torch.eye(3, dtype=torch.float64)[[self.first, self.second, self.normal]]
+        self._parts = (
+            torch.stack([one, other]),
+            self.sign * out,
+            torch.outer(one, one) + torch.outer(other, other),
+            torch.outer(other, one) - torch.outer(one, other),
+            torch.outer(out, out),
+            offset * out,
+        )
 
     def state(self, pose: Tensor) -> tuple[Tensor, Tensor]:
         """Position `(..., 2)` [m] and angle `(...)` [rad] of poses `(..., 4, 4)`."""
@@ -94,18 +103,11 @@ class Plane:
 
     def pose(self, reference: PlaneReference) -> PoseReference:
         """The same reference in space."""
-        x, first, second = reference.x, self.first, self.second
-        position = torch.full((*x.shape[:-1], 3), self.offset, dtype=x.dtype, device=x.device)
-        position[..., first], position[..., second] = x[..., 0], x[..., 1]
-        cos, sin = torch.cos(reference.angle), torch.sin(reference.angle)
-        rotation = torch.zeros(*reference.angle.shape, 3, 3, dtype=x.dtype, device=x.device)
-        rotation[..., self.normal, self.normal] = 1.0
-        rotation[..., first, first] = rotation[..., second, second] = cos
-        rotation[..., second, first], rotation[..., first, second] = sin, -sin
-        v, rate = torch.zeros_like(position), torch.zeros_like(position)
-        v[..., first], v[..., second] = reference.v[..., 0], reference.v[..., 1]
-        rate[..., self.normal] = self.sign * reference.rate
-        return PoseReference(position, rotation, v, rate)
+        x, angle = reference.x, reference.angle
+        along, about, level, quarter, fixed, lifted = (part.to(x) for part in self._parts)
+        cos, sin = torch.cos(angle)[..., None, None], torch.sin(angle)[..., None, None]
+        rotation = torch.addcmul(torch.addcmul(fixed, cos, level), sin, quarter)
+        return PoseReference(x @ along + lifted, rotation, reference.v @ along, reference.rate.unsqueeze(-1) * about)
 
     def turn(self, pose: Tensor, reference: PlaneReference) -> Tensor:
         """The wanted orientation times the transposed one of the tool `(..., 3, 3)`, row by row."""

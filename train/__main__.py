@@ -24,6 +24,7 @@ from train.beyond.command import Beyond
 from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
+from train.hardware.arm import Arm
 from train.hardware.command import Hardware
 from train.hardware.latency import Latency
 from train.hardware.push import Push
@@ -44,6 +45,7 @@ def main() -> int:
     """Parse the command line and do what it says; errors of the user come back as one line and exit code 2."""
     commands: dict[str, Callable[..., Any]] = {
         **{name: options_class(name) for name in tasks.TASKS},
+        "arm": Arm,
         "claims": Claims,
         "deep_rl": DeepRL,
         "figures": Figures,

@@ -1,37 +1,21 @@
-"""Arms from their descriptions: against pytorch-kinematics and pinocchio, and behind a learned motion of poses in MuJoCo."""
+"""Arms from their descriptions: against pytorch-kinematics and pinocchio; tests/train/hardware has them follow a motion."""
 
 import functools
-import math
 
 import numpy as np
 import pytest
 import torch
 
-import torchds
-import torchds.arm_law
 from tests.arms import ARMS
 from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
-from torchds.impedance import PoseReference, arm
+from torchds.impedance import arm
 
 mujoco = pytest.importorskip("mujoco")
-
-START = torch.tensor([-0.12, -0.2, 0.1, 0.4, -0.5, 0.6], dtype=torch.float64)  # from the goal, 50 degrees turned
-DT = 0.001
 
 
 @functools.cache
 def made(name):
     return arm(ARMS[name].text, tool="tool")
-
-
-@functools.cache
-def motion():
-    """A motion of poses that ends at zero, learned from three curved demonstrations of two seconds."""
-    t = torch.linspace(0, 1, 41, dtype=torch.float64)[:, None]
-    s = 1 - t**3 * (10 - 15 * t + 6 * t**2)
-    curve = torch.sin(math.pi * s) * torch.tensor([0.03, -0.02, 0.05, 0.1, 0.1, -0.1], dtype=torch.float64)
-    demos = torchds.Demonstrations([s * START * share + curve for share in (0.9, 1.0, 1.1)], dt=0.05)
-    return torchds.GMRPolicy.from_demonstrations(demos, n_components=2).requires_grad_(False)
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5"])
@@ -63,60 +47,6 @@ def test_limits_and_names_are_read(name):
     assert mine.torque_limit.tolist() == list(d.efforts)
     assert mine.range.tolist() == [[-d.limit, d.limit]] * len(d.masses)
     assert mine.impedance(d.goal).torque_limit.tolist() == list(d.efforts)
-
-
-def reached(mine, q, pose):
-    """The joint angles near q at which the tool has a pose, by Newton's method."""
-    for _ in range(60):
-        J, now = (part[0] for part in mine.chain.jacobian(q[None]))
-        turn = torchds.arm_law.rotation_vector(pose[:3, :3] @ now[:3, :3].T)
-        error = torch.cat([pose[:3, 3] - now[:3, 3], turn])
-        q = q + 0.5 * torch.linalg.pinv(J, rtol=1e-3) @ error
-    assert float(error.norm()) < 1e-6
-    return q
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ARMS)
-def test_each_arm_follows_a_learned_motion_of_poses(name):
-    """Less than 5 mm and a degree behind, and at the goal in the end; no torque is cut, and the hand does not flip."""
-    mine, policy = made(name), motion()
-    rest = torch.tensor(ARMS[name].goal, dtype=torch.float64)
-    end = mine.chain.jacobian(rest[None])[1][0]
-    goal = quaternion_of(end[:3, :3])
-    shift = torch.cat([end[:3, 3], torch.zeros(3)])
-    path = torchds.rollout(policy, START, 3000, DT)
-    reference = PoseReference.of(path.x + shift, torch.cat([path.v, path.v[-1:]]), goal)
-    first = torch.eye(4, dtype=torch.float64)
-    first[:3, :3], first[:3, 3] = reference.rotation[0], reference.x[0]
-    q = reached(mine, rest, first)
-    control = mine.impedance(q, rotation_scale=0.02)
-    data = mujoco.MjData(mine.model)
-    data.qpos[mine.qpos] = q
-    mine.model.opt.timestep = DT
-    mujoco.mj_forward(mine.model, data)
-    errors, full = [], np.zeros((mine.model.nv, mine.model.nv))
-    for k in range(3000):
-        mujoco.mj_fullM(mine.model, data, full)
-        state = data.qpos[mine.qpos], data.qvel[mine.dofs], full[np.ix_(mine.dofs, mine.dofs)]
-        asked = control(*state, data.qfrc_bias[mine.dofs], PoseReference(*(part[k] for part in reference)), 2000.0)
-        assert not asked.saturated.any(), k
-        errors.append(asked.error)
-        data.qfrc_applied[mine.dofs] = asked.torque
-        mujoco.mj_step(mine.model, data)
-        mujoco.mj_forward(mine.model, data)
-    distance, angle = (torch.linalg.vector_norm(part, dim=-1) for part in torch.stack(errors).split(3, -1))
-    assert float(distance.max()) < 0.005
-    assert math.degrees(float(angle.max())) < 1.0
-    _, pose = mine.chain.jacobian(torch.from_numpy(data.qpos[mine.qpos])[None])
-    assert float((pose[0, :3, 3] - end[:3, 3]).norm()) < 0.02
-    assert math.degrees(float(torchds.arm_law.rotation_vector(end[:3, :3] @ pose[0, :3, :3].T).norm())) < 5
-
-
-def quaternion_of(rotation):
-    q = np.empty(4)
-    mujoco.mju_mat2Quat(q, rotation.numpy().ravel())
-    return torch.from_numpy(q)
 
 
 def test_fingers_are_held_and_a_body_is_a_tool_too(randn):

@@ -191,8 +191,10 @@ def _arms(
             spatial[0, j] += b * T[2, 3] - c * T[1, 3]
             spatial[1, j] += c * T[0, 3] - a * T[2, 3]
             spatial[2, j] += a * T[1, 3] - b * T[0, 3]
+        stiff = True
         for d in range(6):
             root[d] = math.sqrt(fixed[d] + share[d] * s[i])
+            stiff = stiff and root[d] > 0.0
             for j in range(J):  # X Lᵀ = J
                 rest = spatial[d, j]
                 for k in range(j):
@@ -213,6 +215,11 @@ def _arms(
             for j in range(J):
                 square += C[d, j] * C[d, j]
             largest = max(largest, square)
+        for j in range(J):  # L y = what draws to the posture
+            rest = spring * (posture[j] - q[i, j]) - damper * v[i, j]
+            for k in range(j):
+                rest -= L[j, k] * y[k]
+            y[j] = rest / L[j, j]
         for d in range(6):
             square, along, asked = 0.0, 0.0, 0.0
             for j in range(J):
@@ -222,15 +229,15 @@ def _arms(
                 continue
             for k in range(6):
                 asked += P[d, k] * root[k] * twist[i, k]
-            part = (along - asked) / math.sqrt(square)
+            part, inside = (along - asked) / math.sqrt(square), 0.0
             for j in range(J):
                 push[j] += C[d, j] * part
-        for j in range(J):  # L y = what draws to the posture
-            rest = spring * (posture[j] - q[i, j]) - damper * v[i, j]
-            for k in range(j):
-                rest -= L[j, k] * y[k]
-            y[j] = rest / L[j, j]
-        _remove(X, y)
+                inside += C[d, j] * y[j]
+            if stiff:  # C spans what the task can move
+                for j in range(J):
+                    y[j] -= inside / square * C[d, j]
+        if not stiff:
+            _remove(X, y)
         for j in range(J):
             total = bias[i, j]
             nullspace[i, j] = 0.0
