@@ -1,6 +1,6 @@
 """One update by many processes: each tries its share of the roll-outs, and all of them make the same step.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def test_via_points(shape, pibb, end):
 
 
 @pytest.mark.parametrize(
-    ("shape", "noise", "end"), [("N", 0.1, 0.45), ("P", 0.1, 0.25), ("N", 0.5, 1.8), ("P", 0.5, 1.0)]
+    ("shape", "noise", "end"), [("N", 0.1, 0.45), ("P", 0.1, 0.2), ("N", 0.5, 1.8), ("P", 0.5, 1.0)]
 )
 @pytest.mark.slow
 def test_noisy_costs(shape, noise, end):
