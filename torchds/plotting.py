@@ -1,6 +1,6 @@
 """Figures of fields, motions and learning curves, drawn into matplotlib axes that the caller owns.
 
-Stability: experimental.
+Stability: stable.
 """
 
 from __future__ import annotations

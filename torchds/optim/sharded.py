@@ -77,14 +77,14 @@ class Sharded:
         rank, size = dist.get_rank(self.group), dist.get_world_size(self.group)
         first, last = n_rollouts * rank // size, n_rollouts * (rank + 1) // size
         mine = slice(first, max(last, first + 1))  # one at least, which shows what a roll-out reports
-        said: dict[str, Any] = {"policies": digest(noise)}
+        said: dict[str, Any] = {"policies": _digest(noise)}
         raised: Exception | None = None
         visits: Sequence[Visit] = ()
         try:
             trial = evaluate(self.closure, {p: e[mine] for p, e in noise.items()}, mine.stop - mine.start, batched)
             visits = trial.visits
             share = [trial.costs, *(visit.visited for visit in visits)]
-            said["share"] = [moved(cut(part, last - first), "cpu") for part in share]
+            said["share"] = [moved(_cut(part, last - first), "cpu") for part in share]
         except Exception as error:
             raised, said["error"] = error, f"{type(error).__name__}: {error}"
         everyone: list[Any] = [None] * size
@@ -101,13 +101,13 @@ class Sharded:
                 )
         device = next(iter(noise)).device
         costs, *visited = (
-            join([moved(part, device) for part in parts])
+            _join([moved(part, device) for part in parts])
             for parts in zip(*(told["share"] for told in everyone), strict=True)
         )
         return Trial(costs, [Visit(visit.policy, part) for visit, part in zip(visits, visited, strict=True)])
 
 
-def digest(noise: Table) -> str:
+def _digest(noise: Table) -> str:
     """Of the policies that are tried: parameters and their noise."""
     found = hashlib.sha256()
     for p, epsilon in noise.items():
@@ -116,12 +116,12 @@ def digest(noise: Table) -> str:
     return found.hexdigest()
 
 
-def cut(part: Tensor | Gated, n: int) -> Tensor | Gated:
+def _cut(part: Tensor | Gated, n: int) -> Tensor | Gated:
     """The first n roll-outs."""
     return Gated(*(field[:n] for field in part)) if isinstance(part, Gated) else part[:n]
 
 
-def join(parts: Sequence[Any]) -> Any:
+def _join(parts: Sequence[Any]) -> Any:
     """All roll-outs."""
     if isinstance(parts[0], Gated):
         return Gated(*(torch.cat(fields) for fields in zip(*parts, strict=True)))
