@@ -75,27 +75,31 @@ class DMP(GMRPolicy):
             )
 
     @classmethod
-    def fit(cls, demonstrations: Demonstrations, n_basis: int, goal: Array | None = None) -> DMP:
+    def fit(cls, demonstrations: Demonstrations, n_basis: int, goal: Array | None = None, rest: float = 0.25) -> DMP:
         """Weights whose forcing term is that of the demonstrations, in the least squares over all samples.
 
         Args:
             demonstrations: each is read as one run through the phase; the mean of their durations is τ.
             n_basis: K.
             goal: `(O,)` g; None for the mean end.
+            rest: for how long the motion stays at the goal afterwards, in shares of its duration. Where nothing says so, the
+                last forces of a motion that stops at once go on, and take it away again.
 
         Raises:
-            InvalidArgumentError: see `DMP`.
+            InvalidArgumentError: see `DMP`; also a rest that is negative or not finite.
         """
         ends = torch.stack([d.x[-1] for d in demonstrations]).mean(0)
+        rest = number("rest", rest, "finite and at least 0", lambda share: 0 <= share < math.inf)
         times = [(len(d.x) - 1) * d.dt for d in demonstrations]
         empty = ends.new_zeros(count("n_basis", n_basis, 2), len(ends))
         primitive = cls(empty, ends if goal is None else goal, math.fsum(times) / len(times))
         features, targets = [], []
         for d, tau in zip(demonstrations, times, strict=True):
-            s = torch.exp(-ALPHA_S * torch.linspace(0, 1, len(d.x), dtype=d.x.dtype)).unsqueeze(-1)
+            n = round(rest * len(d.x))
+            s = torch.exp(-ALPHA_S * d.dt / tau * torch.arange(len(d.x) + n, dtype=d.x.dtype)).unsqueeze(-1)
             (acceleration,) = torch.gradient(d.v, spacing=d.dt, dim=0)
             spring = primitive.goal - d.x - 4 / ALPHA_Z * tau * d.v
-            targets.append(4 / ALPHA_Z**2 * tau**2 * acceleration - spring)
+            targets.append(F.pad(4 / ALPHA_Z**2 * tau**2 * acceleration - spring, (0, 0, 0, n)))
             features.append(primitive.features(s)[..., ::2])
         w = torch.linalg.lstsq(torch.cat(features), torch.cat(targets)).solution
         return cls(w, primitive.goal, primitive.duration)

@@ -33,6 +33,7 @@ from train.learning.run import run
 from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.figures.command import Figures
+from train.primitives.command import Primitives
 from train.view import View
 
 
@@ -55,6 +56,7 @@ def main() -> int:
         "view": View,
         "compare": Compare,
         "beyond": Beyond,
+        "primitives": Primitives,
         "benchmark": Benchmark,
         "benchmark_lasa": BenchmarkLasa,
     }

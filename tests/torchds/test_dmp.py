@@ -8,7 +8,7 @@ import scipy.integrate
 import torch
 
 from tests.motions import refuses, two
-from torchds import GMRPolicy, visits
+from torchds import Demonstrations, GMRPolicy, visits
 from torchds.costs import control_cost
 from torchds.dmp import ALPHA_S, ALPHA_Z, DMP
 from torchds.errors import InvalidArgumentError
@@ -105,20 +105,26 @@ class _Motion(torch.nn.Module):
 
 def test_a_fit_gives_back_the_weights_behind_a_motion(primitive):
     """Finite differences of the fit see the acceleration half a step late, hence fine steps."""
-    from torchds import Demonstrations
-
     path = primitive.rollout(torch.zeros(2), 1000, 2 / 1000)
     x = path.x.detach()
     demo = Demonstrations([x[:-1]], [path.v.detach()], 2 / 1000)
-    fitted = DMP.fit(demo, 6, GOAL)
+    fitted = DMP.fit(demo, 6, GOAL, rest=0.0)
     again = fitted.rollout(torch.zeros(2), 1000, 2 / 1000).x
     assert fitted.duration == pytest.approx(2.0, rel=2e-3)
     assert (again - x).abs().max() < 0.05 * (x - x.mean(0)).abs().max()
 
 
+def test_a_fit_that_rests_at_the_goal_stays_there():
+    """A motion that stops at once: x = t² for 0 ≤ t ≤ 1, and nothing says what follows."""
+    t = torch.linspace(0, 1, 101, dtype=torch.float64)[:, None]
+    demo = Demonstrations([t**2 - 1], [2 * t], 0.01)
+    after = [DMP.fit(demo, 8, rest=rest).rollout([-1.0], 200, 0.01).x[100:].abs().max() for rest in (0.0, 0.25)]
+    assert after[1] < 0.5 * after[0]
+
+
 def test_a_fit_follows_demonstrations():
     demos = two()[:1]
-    path = DMP.fit(demos, 12).rollout(demos[0].x[0], 100, demos[0].dt)
+    path = DMP.fit(demos, 12, rest=0.0).rollout(demos[0].x[0], 100, demos[0].dt)
     assert (path.x - demos[0].x).abs().max() < 0.2 * (demos[0].x.amax(0) - demos[0].x.amin(0)).max()
 
 

@@ -1,0 +1,1 @@
+"""The dynamical system of the paper beside a dynamic movement primitive."""
