@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from torch import Tensor
 from tqdm import tqdm
 
 import tasks
@@ -18,8 +17,9 @@ from torchds.files import write_json
 from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
 from train.options import LEARNERS, check_seed, options_for
-from train.primitives.disturbed import Disturbance, Measures, disturbances, follow, measures
+from train.primitives.disturbed import disturbances, follow, measures
 from train.primitives.figure import draw
+from train.primitives.rows import Row, Seen
 from train.searchers.named import runs_vary
 from train.statistics import differ, quartiles
 from train.tables import markdown
@@ -33,33 +33,6 @@ WAYS: dict[str, dict[str, Any]] = {
     "adam": {"optimizer": "adam", "exploration": "homogeneous"},
 }
 DISTURBED = "recommended"  # whose policies are disturbed
-
-
-class Row(NamedTuple):
-    """One system, learned in one way.
-
-    Attributes:
-        shape: the letter.
-        system: "gmr" or "dmp".
-        way: of `WAYS`.
-        learner: after the last update.
-        cost: `(U+1, runs)` of the task, without the control cost, whose unit is that of other parameters.
-    """
-
-    shape: str
-    system: str
-    way: str
-    learner: Learner
-    cost: np.ndarray
-
-
-class Seen(NamedTuple):
-    """What became of the policies of one system under one disturbance: places `(runs, points, T + late + 1, 2)`."""
-
-    row: Row
-    disturbance: Disturbance
-    x: Tensor
-    measured: Measures
 
 
 @dataclass

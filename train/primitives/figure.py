@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from train.primitives.rows import Row, Seen
 from train.statistics import quartiles
-
-if TYPE_CHECKING:
-    from train.primitives.command import Row, Seen
 
 LEARNERS = {"pibb": "black", "pi2": "#8a8a8a", "recommended": "#c2185b", "adam": "#e8a33d"}
 SYSTEMS = {"gmr": ("dynamical system (GMR)", "#1f5fa8", "-"), "dmp": ("movement primitive (DMP)", "#d1561f", "--")}
