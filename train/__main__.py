@@ -21,6 +21,7 @@ from torchds.errors import TorchdsError
 from torchds.files import reason
 from train.benchmark.command import Benchmark
 from train.beyond.command import Beyond
+from train.beyond.primitives.command import Primitives
 from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
@@ -33,7 +34,6 @@ from train.learning.run import run
 from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.figures.command import Figures
-from train.primitives.command import Primitives
 from train.view import View
 
 

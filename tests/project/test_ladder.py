@@ -40,7 +40,7 @@ COMMANDS = [
     {"folder"},
     {"searchers"},
     {"learning"},
-    {"paper", "compare", "beyond", "primitives", "lasa", "deep_rl", "hardware", "benchmark", "view"},
+    {"paper", "compare", "beyond", "lasa", "deep_rl", "hardware", "benchmark", "view"},
     {"__main__"},
 ]
 

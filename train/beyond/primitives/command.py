@@ -14,12 +14,12 @@ import tasks
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from torchds.files import write_json
+from train.beyond.primitives.disturbed import disturbances, follow, measures
+from train.beyond.primitives.figure import draw
+from train.beyond.primitives.rows import Row, Seen
 from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
 from train.options import LEARNERS, check_seed, options_for
-from train.primitives.disturbed import disturbances, follow, measures
-from train.primitives.figure import draw
-from train.primitives.rows import Row, Seen
 from train.searchers.named import runs_vary
 from train.statistics import differ, quartiles
 from train.tables import markdown

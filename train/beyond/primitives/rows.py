@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
+from train.beyond.primitives.disturbed import Disturbance, Measures
 from train.learning.learner import Learner
-from train.primitives.disturbed import Disturbance, Measures
 
 
 class Row(NamedTuple):

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from train.primitives.rows import Row, Seen
+from train.beyond.primitives.rows import Row, Seen
 from train.statistics import quartiles
 
 LEARNERS = {"pibb": "black", "pi2": "#8a8a8a", "recommended": "#c2185b", "adam": "#e8a33d"}

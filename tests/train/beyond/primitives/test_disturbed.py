@@ -5,7 +5,7 @@ import torch
 
 import tasks
 from tests.motions import Short
-from train.primitives.disturbed import Disturbance, disturbances, follow, measures
+from train.beyond.primitives.disturbed import Disturbance, disturbances, follow, measures
 
 NONE = torch.zeros(1, 2, dtype=torch.float64)
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from torchds.errors import InvalidArgumentError
-from train.primitives.command import SYSTEMS, WAYS, Primitives
+from train.beyond.primitives.command import SYSTEMS, WAYS, Primitives
 
 
 @pytest.mark.slow

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tasks
-from train.primitives.command import Primitives
-from train.primitives.figure import LEARNERS, PANELS, draw
+from train.beyond.primitives.command import Primitives
+from train.beyond.primitives.figure import LEARNERS, PANELS, draw
 
 
 @pytest.mark.slow
