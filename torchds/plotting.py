@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchds import poses
+from torchds.arrays import Array, real
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, MissingPackageError
 from torchds.files import write_atomically
@@ -38,22 +39,22 @@ FRAME = ("#c8201e", "#2a9d5c", "#1f5fa8")
 TERMS = ("#1f5fa8", "#2a9d5c", "#8d6cc3", "#c98a1b", "#4bb3c2", "#8a5a3c")
 
 
-def limits(*tracks: Tensor, margin: float = 0.12, dims: int = 2) -> tuple[tuple[float, float], ...]:
+def limits(*tracks: Array, margin: float = 0.12, dims: int = 2) -> tuple[tuple[float, float], ...]:
     """Axis limits around all finite points of tracks `(..., D)` in their first `dims` dimensions, with a relative margin."""
-    points = torch.cat([t.detach().double()[..., :dims].reshape(-1, dims) for t in tracks])
+    points = torch.cat([real("tracks", t, "(..., D)").detach().double()[..., :dims].reshape(-1, dims) for t in tracks])
     points = points[points.isfinite().all(-1)]
     low, high = points.amin(0), points.amax(0)
     pad = margin * (high - low).clamp_min(1e-9).max()
     return tuple(zip((low - pad).tolist(), (high + pad).tolist(), strict=True))
 
 
-def shown(axes: Axes, what: str, x: Tensor) -> Tensor:
+def shown(axes: Axes, what: str, x: Array) -> Tensor:
     """The dimensions of `x` `(..., D)` that the axes have: the first two, or three of 3-D axes.
 
     Raises:
         InvalidArgumentError: `x` has fewer.
     """
-    n = 3 if axes.name == "3d" else 2
+    x, n = real(what, x, "(..., D)"), 3 if axes.name == "3d" else 2
     if x.shape[-1] < n:
         raise InvalidArgumentError(f"{what} of {x.shape[-1]} dimensions cannot be drawn into axes of {n}")
     return x.detach().cpu()[..., :n]
@@ -111,14 +112,14 @@ def demonstrations(axes: Axes, demos: Demonstrations) -> None:
         )
 
 
-def trajectories(axes: Axes, x: Tensor, *, color: str, label: str, lw: float = 2.2, alpha: float = 1.0) -> None:
+def trajectories(axes: Axes, x: Array, *, color: str, label: str, lw: float = 2.2, alpha: float = 1.0) -> None:
     """Tracks `(*batch, T+1, D)` in the dimensions of the axes, two or three, with one entry in the legend."""
     tracks = shown(axes, "trajectories", x)
     for i, track in enumerate(tracks.reshape(-1, *tracks.shape[-2:])):
         axes.plot(*track.T, color=color, lw=lw, alpha=alpha, zorder=5, label=label if i == 0 else "_nolegend_")
 
 
-def markers(axes: Axes, starts: Tensor, goal: Tensor, via_points: Mapping[str, Tensor]) -> None:
+def markers(axes: Axes, starts: Array, goal: Array, via_points: Mapping[str, Array]) -> None:
     """Starts as squares, the goal as a star, sets of via-points as crossed circles."""
     axes.plot(*shown(axes, "starts", starts).T, "s", color="black", ms=8, zorder=7, label="start")
     axes.plot(*shown(axes, "a goal", goal)[:, None], "*", color="black", ms=14, zorder=7, label="goal")
@@ -128,7 +129,7 @@ def markers(axes: Axes, starts: Tensor, goal: Tensor, via_points: Mapping[str, T
         axes.plot(*at, cross, color="black", ms=8, mew=1.5, zorder=7)
 
 
-def frames(axes: Axes, x: Tensor, goal: Tensor, *, size: float, n: int = 8) -> None:
+def frames(axes: Axes, x: Array, goal: Array, *, size: float, n: int = 8) -> None:
     """The frames of the tool along a motion of poses, axes in red, green and blue, into 3-D axes.
 
     Args:
@@ -141,25 +142,26 @@ def frames(axes: Axes, x: Tensor, goal: Tensor, *, size: float, n: int = 8) -> N
     Raises:
         InvalidArgumentError: axes of a plane, or states that are no poses.
     """
+    x = real("x", x)
     if axes.name != "3d" or x.ndim != 2 or x.shape[-1] != 6:
         raise InvalidArgumentError(f"frames need 3-D axes and states (T+1, 6), got {axes.name} and {tuple(x.shape)}")
     states = x.detach().cpu()
     step = states.diff(dim=0) * states.new_tensor([1.0, 1.0, 1.0, size, size, size])
     way = torch.cat([step.new_zeros(1), torch.linalg.vector_norm(step, dim=-1).cumsum(0)])
     chosen = states[(torch.linspace(0, 1, n).to(way)[:, None] * way[-1] - way).abs().argmin(-1)]
-    for position, matrix in zip(chosen[:, :3], poses.matrix(chosen, goal.detach().cpu()), strict=True):
+    for position, matrix in zip(chosen[:, :3], poses.matrix(chosen, real("goal", goal).detach().cpu()), strict=True):
         for direction, color in zip(matrix.T, FRAME, strict=True):
             axes.plot(*torch.stack([position, position + size * direction]).T, color=color, lw=1.5, zorder=6)
 
 
-def walls(axes: Axes, segments: Tensor) -> None:
+def walls(axes: Axes, segments: Array) -> None:
     """Walls `(W, 2, D)` in the first two dimensions, as thick lines.
 
     Raises:
         InvalidArgumentError: 3-D axes.
     """
     check_plane(axes, "walls")
-    for i, segment in enumerate(segments[..., :2].cpu()):
+    for i, segment in enumerate(real("segments", segments, "(W, 2, D)")[..., :2].cpu()):
         label = "walls" if i == 0 else "_nolegend_"
         axes.plot(*segment.T, color="black", lw=4, solid_capstyle="round", zorder=6, label=label)
 

@@ -10,11 +10,12 @@ import tempfile
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 from torch import nn
 
 import torchds
 from tests.faults.test_optimizer import make_policy
-from torchds import costs, metrics, poses, stability
+from torchds import costs, metrics, plotting, poses, stability
 from torchds.cartesian import CartesianImpedance
 from torchds.errors import MissingPackageError, TorchdsError
 from torchds.exploration import Gaussian, Homogeneous, Stable, TrajectorySpace
@@ -71,6 +72,13 @@ def stable_policy():
 
 
 STABLE, LINEAR = stable_policy(), nn.Linear(1, 1, dtype=torch.float64)
+
+
+def drawn(draw, three=False):
+    """The points of all lines that were drawn into new axes."""
+    axes = Figure().add_subplot(projection="3d" if three else None)
+    draw(axes)
+    return [torch.tensor(np.stack(line.get_data_3d() if three else line.get_data())) for line in axes.lines]
 
 
 def explored(noise, policy):
@@ -277,6 +285,21 @@ CASES = {
         lambda goal: torchds.fit_stable(DEMOS, 1, goal=goal, start=START, condition="seds", n_steps=10),
         {"goal": GOAL},
     ),
+    "plotting.limits": (lambda tracks: torch.tensor(plotting.limits(tracks)), {"tracks": PATH}),
+    "plotting.shown": (lambda x: plotting.shown(Figure().add_subplot(), "x", x), {"x": PATH}),
+    "plotting.trajectories": (
+        lambda x: drawn(lambda axes: plotting.trajectories(axes, x, color="red", label="x")),
+        {"x": PATH},
+    ),
+    "plotting.markers": (
+        lambda starts, goal: drawn(lambda axes: plotting.markers(axes, starts, goal, {})),
+        {"starts": PATH[0], "goal": GOAL},
+    ),
+    "plotting.frames": (
+        lambda x, goal: drawn(lambda axes: plotting.frames(axes, x, goal, size=0.1), three=True),
+        {"x": 0.1 * randn(T, 6), "goal": TURNING[0]},
+    ),
+    "plotting.walls": (lambda segments: drawn(lambda axes: plotting.walls(axes, segments)), {"segments": PATH[:, :2]}),
     "starts.fit_mixtures": (lambda goal: torchds.fit_mixtures(DEMOS, 1, goal=goal), {"goal": GOAL}),
     "demonstrations.Demonstrations": (
         lambda **given: list(torchds.Demonstrations(**{name: [value] for name, value in given.items()}, dt=0.1)),
@@ -342,7 +365,8 @@ ANY_LENGTH = {
     ("optim.functional.cost_weights", "costs"), ("optim.functional.relative_costs", "costs"),
     ("optim.functional.informative", "costs"), ("mending.Mending.from_samples", "positions"),
     ("demonstrations.Demonstrations", "stiffness"), ("poses.quaternion", "x"), ("poses.matrix", "x"),
-    ("poses.angular_velocity", "x"),
+    ("poses.angular_velocity", "x"), ("plotting.limits", "tracks"), ("plotting.shown", "x"), ("plotting.trajectories", "x"),
+    ("plotting.markers", "starts"), ("plotting.markers", "goal"), ("plotting.walls", "segments"),
     ("poses.angular_velocity", "v"), ("preparation.Preparation.with_stiffness", "value"),
 }  # fmt: skip
 OPTIONAL = {"P", "stiffness_A", "stiffness_b", "direction", "torque_limit", "gating", "free", "velocities"}
