@@ -127,6 +127,7 @@ def test_costs_by_steps_add_up_to_the_cost():
 
 
 @pytest.mark.parametrize("shape", ["N", "P"])
+@pytest.mark.slow
 def test_a_primitive_imitates_the_letter_with_as_many_parameters(shape):
     task, other = tasks.make("via_point", shape=shape, system="dmp"), tasks.make("via_point", shape=shape)
     primitive, system = task.policy(), other.policy()

@@ -15,6 +15,7 @@ def task(request):
     return Short(system=request.param)
 
 
+@pytest.mark.slow
 def test_undisturbed_it_is_the_roll_out_of_the_task(task):
     policy = task.policy().expand(3)
     x = follow(policy, task.motion(), Disturbance("none", NONE, NONE))
