@@ -26,7 +26,7 @@ from train.compare.command import Compare
 from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
 from train.hardware.arm import Arm
-from train.hardware.command import Hardware
+from train.hardware.command import hardware
 from train.hardware.latency import Latency
 from train.hardware.push import Push
 from train.lasa.command import BenchmarkLasa
@@ -50,7 +50,7 @@ def main() -> int:
         "claims": Claims,
         "deep_rl": DeepRL,
         "figures": Figures,
-        "hardware": Hardware,
+        "hardware": hardware([]),
         "latency": Latency,
         "push": Push,
         "view": View,
@@ -75,6 +75,8 @@ def command(commands: dict[str, Callable[..., Any]]) -> None:
         options_of_task = options_class(arguments[0])
         arguments[0] = tasks.options_of(arguments[0]).name
         commands[arguments[0]] = options_of_task
+    if arguments[:1] == ["hardware"]:
+        commands["hardware"] = hardware(arguments)
     options: Any = tyro.extras.subcommand_cli_from_dict(
         commands,
         prog="python -m train",

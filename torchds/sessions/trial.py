@@ -19,6 +19,7 @@ from torchds.rollouts import Rollout, rollout
 from torchds.sessions.layout import Layout
 from torchds.sessions.questions import Finding, question
 from torchds.sessions.tables import Recorded
+from torchds.stops import StopCondition
 
 
 class Reference(NamedTuple):
@@ -65,6 +66,7 @@ class Trial:
         cost_terms: of a roll-out `(*batch, T+1, C)` whose `x` and `v` are measured and whose `plant` is a `Measured`: terms by
             name, or one cost `(*batch)`. None where costs are given in `costs.csv`.
         reaches: `(..., C)` positions to truths, whether the robot can be there; what leaves that is never asked for.
+        stop: where a roll-out would end early (`torchds.Walls`, `torchds.Bounds`); what goes there is never asked for either.
 
     Raises:
         InvalidArgumentError: sizes that do not agree, or a step or number that is not positive.
@@ -79,6 +81,7 @@ class Trial:
         cost_terms: Terms | None = None,
         *,
         reaches: Callable[[Tensor], Tensor] | None = None,
+        stop: StopCondition | None = None,
     ) -> None:
         self.x0 = tensor("x0", x0)
         if self.x0.ndim != 1 or len(self.x0) > len(layout.position):
@@ -90,20 +93,20 @@ class Trial:
         if n_steps < 1:
             raise InvalidArgumentError(f"n_steps has to be at least 1, got {n_steps}")
         self.n_steps, self.dt, self.cost_terms, self.reaches = int(n_steps), float(dt), cost_terms, reaches
-        self.layout = layout
+        self.layout, self.stop = layout, stop
 
     @classmethod
     def of(cls, task: Any, layout: Layout | None = None, **options: Any) -> Self:
         """The trial of a task (`tasks.Task`): its motion, its cost terms, and the names and units of its demonstrations.
 
         Args:
-            task: an object with `motion()`, `cost_terms(path)` and `demonstrations`.
+            task: an object with `motion()`, `cost_terms(path)`, `demonstrations`, and `stop` or none.
             layout: in place of that of the demonstrations.
             **options: see `Trial`.
         """
         x0, n_steps, dt = task.motion()
         layout = Layout.of(task.demonstrations) if layout is None else layout
-        return cls(x0, n_steps, dt, layout, task.cost_terms, **options)
+        return cls(x0, n_steps, dt, layout, task.cost_terms, **{"stop": getattr(task, "stop", None), **options})
 
     @property
     def seconds(self) -> float:
@@ -132,7 +135,9 @@ class Trial:
     def possible(self, asked: Reference) -> Tensor:
         """`(*batch)` whether a robot may be asked for these motions."""
         fine = asked.x.isfinite().flatten(-2).all(-1) & asked.stiffness.isfinite().flatten(-2).all(-1)
-        return fine if self.reaches is None else fine & self.reaches(asked.x).all(-1)
+        if self.reaches is not None:
+            fine = fine & self.reaches(asked.x).all(-1)
+        return fine if self.stop is None else fine & ~self.stop(asked.x[..., :-1, :], asked.x[..., 1:, :]).any(-1)
 
     def terms(self, policy: GMRPolicy, recorded: Recorded, there: Tensor) -> dict[str, Tensor]:
         """Cost terms `(N, *batch)` of recordings; infinite where there is none.

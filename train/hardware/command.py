@@ -1,45 +1,57 @@
-"""Learning to dig with a robot: `python -m train hardware start | ask | tell | status DIR`."""
+"""Learning with a robot: `python -m train hardware start | ask | tell | status DIR`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_type_hints
 
 import tyro
 
-from tasks.settings import Convention
 from train.options import options_class
 
 if TYPE_CHECKING:
     from train.hardware.session import Session
 
 
-DiggingOptions: Any = options_class("lwr_digging")
+CONF: Any = tyro.conf  # its marks stand around types that are made here
+DECIDED = {
+    "runs": 1,
+    "elite": "nominal",
+    "cost_noise": 0.0,
+    "learn": "both",
+    "grains": "fine",
+    "threads": 1,
+    "convention": "paper",
+    "logdir": Path("logs"),
+    "resume": None,
+}
+"""Options that a robot decides by itself or has no use for."""
 
 
-@dataclass
-class SessionOptions(DiggingOptions):
-    """The options of the training command, without those that a robot decides by itself or has no use for."""
+@cache
+def session_options(task: str) -> Any:
+    """The options of the training command of a task, without those that a robot decides."""
+    base = options_class(task)
+    kinds = get_type_hints(base, include_extras=True)
+    decided = [each.name for each in fields(base) if each.name in DECIDED]
+    return make_dataclass(
+        "SessionOptions",
+        [(name, CONF.Fixed[kinds[name]], field(default=DECIDED[name])) for name in decided],
+        bases=(base,),
+        kw_only=True,
+    )
 
-    runs: tyro.conf.Fixed[int] = 1
-    elite: tyro.conf.Fixed[Literal["none", "nominal", "best"] | None] = "nominal"
-    cost_noise: tyro.conf.Fixed[float] = 0.0
-    learn: tyro.conf.Fixed[Literal["both", "motion", "stiffness"]] = "both"
-    grains: tyro.conf.Fixed[Literal["fine", "coarse"]] = "fine"
-    threads: tyro.conf.Fixed[int] = 1
-    convention: tyro.conf.Fixed[Convention] = "paper"
-    logdir: tyro.conf.Fixed[Path] = field(default_factory=lambda: Path("logs"))
-    resume: tyro.conf.Fixed[Path | None] = None
+
+SessionOptions: Any = session_options("lwr_digging")
 
 
-@dataclass
 class Start:
-    """Begin a session in a new folder."""
+    """Begin a session in a new folder; --task NAME for another task than the digging, with its own options."""
 
-    folder: tyro.conf.Positional[Path]
-    """Where the session keeps its files; it is made."""
-    options: tyro.conf.OmitArgPrefixes[tyro.conf.SuppressFixed[SessionOptions]] = field(default_factory=SessionOptions)
+    folder: Path
+    options: Any
 
     def main(self) -> None:
         """Begin, and say what comes next."""
@@ -57,7 +69,7 @@ class InSession:
 
     def session(self) -> Session:
         """The session, as it was left."""
-        from train.hardware.session import Session  # needs MuJoCo, as only the digging task does
+        from train.hardware.session import Session  # imports much
 
         return Session.open(self.folder)
 
@@ -101,17 +113,34 @@ class Status(InSession):
         print(self.session().status())
 
 
-@dataclass
 class Hardware:
-    """Learn to dig with a robot, through files: see docs/hardware.md."""
+    """Learn with a robot, through files: see docs/hardware.md."""
 
-    command: tyro.conf.OmitSubcommandPrefixes[
-        Annotated[Start, tyro.conf.subcommand("start")]
-        | Annotated[Ask, tyro.conf.subcommand("ask")]
-        | Annotated[Tell, tyro.conf.subcommand("tell")]
-        | Annotated[Status, tyro.conf.subcommand("status")]
-    ]
+    command: Any
 
     def main(self) -> None:
         """Do what the subcommand says."""
         self.command.main()
+
+
+def hardware(arguments: list[str]) -> Any:
+    """The command for the task that `--task` names, which is taken out of the arguments; the digging by default."""
+    task = "lwr_digging"
+    if "--task" in arguments[:-1]:
+        i = arguments.index("--task")
+        task = arguments[i + 1]
+        del arguments[i : i + 2]
+    options = session_options(task)
+    shown: Any = CONF.OmitArgPrefixes[CONF.SuppressFixed[options]]
+    folder: Any = Annotated[
+        tyro.conf.Positional[Path], tyro.conf.arg(help="Where the session keeps its files; it is made.")
+    ]
+    start = make_dataclass(
+        "Start", [("folder", folder), ("options", shown, field(default_factory=options))], bases=(Start,)
+    )
+    start.__doc__ = Start.__doc__
+    kinds = {"start": start, "ask": Ask, "tell": Tell, "status": Status}
+    union: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in kinds.items())]  # noqa: UP007
+    made = make_dataclass("Hardware", [("command", CONF.OmitSubcommandPrefixes[union])], bases=(Hardware,))
+    made.__doc__ = Hardware.__doc__
+    return made

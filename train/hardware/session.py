@@ -1,17 +1,15 @@
-"""A policy search on the digging task that waits for a robot, in a folder (see `torchds.sessions`)."""
+"""A policy search on a task that waits for a robot, in a folder (see `torchds.sessions`)."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from torch import Tensor
 
 import tasks
-from tasks.digging.task import LwrDigging
-from torchds import files
+from torchds import files, sessions
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import make_folder
 from torchds.locks import one_writer
@@ -19,12 +17,12 @@ from torchds.sessions.books import BOOKS, Books
 from torchds.sessions.given import STATE, refuse_used
 from train.folder import RunFolder, load, say_versions, versions
 from train.hardware.records import Status, hint
-from train.hardware.trial import Trial
 from train.learning.history import History, results
 from train.learning.learner import Learner
 from train.learning.run import check
 from train.options import RunOptions, options_class
 
+DIGGING = "lwr_digging"
 DEMONSTRATIONS, MIXTURE = "demonstrations.npz", "mixture.npz"  # kept, since those that were given may change
 
 
@@ -45,7 +43,7 @@ class Session(Books):
 
     says = Status
 
-    def __init__(self, folder: Path, options: RunOptions, task: LwrDigging) -> None:
+    def __init__(self, folder: Path, options: RunOptions, task: tasks.Task) -> None:
         check(options)
         if options.runs != 1 or options.cost_noise or options.elite not in (None, "nominal"):
             raise InvalidArgumentError(
@@ -56,7 +54,7 @@ class Session(Books):
         optim = self.learner.searcher.optim
         if optim is None or optim.costs_per_step:
             raise InvalidArgumentError(f"--optimizer {options.optimizer} cannot wait for a robot; use --optimizer pibb")
-        super().__init__(folder, Trial(task), self.learner.policy, optim, self.learner.n_updates)
+        super().__init__(folder, trial_of(task), self.learner.policy, optim, self.learner.n_updates)
 
     @classmethod
     def start(cls, folder: Path, options: RunOptions) -> Session:
@@ -66,7 +64,7 @@ class Session(Books):
             InvalidArgumentError: one is there already, or options do not fit.
         """
         refuse_used(folder, hint("status", folder))
-        session = cls(folder, options, made(**options.task_options()))
+        session = cls(folder, options, options.make_task())
         make_folder(folder)
         with one_writer(folder):
             refuse_used(folder, hint("status", folder))  # by somebody else, since
@@ -92,9 +90,9 @@ class Session(Books):
                 raise FileError(f"{folder / name} is damaged, or not the one that the session began with")
         say_versions(path, state["versions"])
         try:
-            options = options_class("lwr_digging").from_json(state["options"])
+            options = options_class(state.get("task", DIGGING)).from_json(state["options"])
             kept = {"demonstrations": folder / DEMONSTRATIONS, "mixture": folder / MIXTURE}
-            session = cls(folder, options, made(**options.task_options() | kept))
+            session = cls(folder, options, tasks.make(options.task, **options.task_options() | kept))
             session.learner.load_state_dict(state["learner"])
         except (InvalidArgumentError, UnknownNameError) as error:
             raise FileError(f"{path} is no session of this version: {error}") from error
@@ -111,7 +109,8 @@ class Session(Books):
             name: hashlib.sha256((self.folder / name).read_bytes()).hexdigest() for name in (DEMONSTRATIONS, MIXTURE)
         }
         said = {"options": self.options.to_json(), "versions": versions(), "kept": kept}
-        self._write({**said, "learner": self.learner.state_dict()})
+        task = {} if self.options.task == DIGGING else {"task": self.options.task}
+        self._write({**said, **task, "learner": self.learner.state_dict()})
 
     @property
     def history(self) -> History:
@@ -125,12 +124,22 @@ class Session(Books):
         nominal = {name: values[:1] for name, values in terms.items()}
         computed = self.learner.searcher.forward_equivalents(self.done)
         self.history.add(self.spent, nominal, self.failed, computed)
-        self.history.seconds += n_there * self.task.seconds
+        self.history.seconds += n_there * self.trial.seconds
         return self.learner.searcher.failed
 
 
-def made(**options: Any) -> LwrDigging:
-    """The digging task with these options."""
-    task = tasks.make("lwr_digging", **options)
-    assert isinstance(task, LwrDigging)
-    return task
+def trial_of(task: tasks.Task) -> sessions.Trial:
+    """What a roll-out of a task is.
+
+    Raises:
+        InvalidArgumentError: the task has a plant, whose fields its cost reads, and which the robot would replace.
+    """
+    if task.name == DIGGING:
+        from train.hardware.trial import Trial  # needs MuJoCo
+
+        return Trial(task)  # type: ignore[arg-type] # the name says what it is
+    if task.plant is not None or task.policy().stiffness_dim:
+        raise InvalidArgumentError(
+            f"{task.name} simulates what a robot would be; make a torchds.sessions.Session with cost_terms of recordings"
+        )
+    return sessions.Trial.of(task)

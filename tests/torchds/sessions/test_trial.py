@@ -46,6 +46,10 @@ def test_what_is_out_of_reach_is_known(random_policy):
     x = asked.x.clone()
     x[1, 5, 0], x[2, 3, 1] = 200.0, torch.nan
     assert trial.possible(asked._replace(x=x)).tolist() == [True, False, False]
+    wall = torchds.Walls(torch.tensor([[[0.5, -1.0], [0.5, 1.0]]], dtype=torch.float64))
+    behind = torch.stack([torch.linspace(0, 1, 11, dtype=torch.float64), torch.zeros(11)], -1)
+    trial, x = Trial([0.0, 0.0], 10, 0.1, PLANE, stop=wall), torch.stack([0.4 * behind, behind, 0.4 * behind])
+    assert trial.possible(asked._replace(x=x)).tolist() == [True, False, True]
 
 
 def test_bad_arguments_are_refused(random_policy, randn):

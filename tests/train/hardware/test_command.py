@@ -96,3 +96,37 @@ def test_the_commands_say_what_comes_next(command, tmp_path):
     assert said.endswith(f"all updates are made; the policy is in {folder / 'policy.pt'}\n")
     code, said = command("tell", folder)
     assert said.startswith("update 1 has been told already; nothing is changed\nall updates are made")
+
+
+@pytest.mark.slow
+def test_a_session_of_another_task_has_its_columns_options_and_costs(tmp_path, command):
+    folder = tmp_path / "s"
+    assert command("start", folder, "--task", "via_point", "--shape", "P", "--rollouts", 3, "--updates", 1)[0] == 0
+    assert command("ask", folder)[0] == 0
+    for k in (1, 2, 3):
+        header, *lines = (folder / "update-001" / f"rollout-{k}.csv").read_text().splitlines()
+        assert header == "time [s],x1 [1],x2 [1],v_x1 [1/s],v_x2 [1/s]"
+        rows = [",".join(line.split(",")[:3]) for line in lines]
+        (folder / "update-001" / f"recording-{k}.csv").write_text("\n".join(["time [s],x1 [1],x2 [1]", *rows]) + "\n")
+    code, said = command("tell", folder)
+    assert code == 0 and "update 1 of 1 is made from 3 roll-outs" in said
+    results = json.loads((folder / "results.json").read_text())
+    assert results["task"] == "via_point" and results["options"]["shape"] == "P"
+    expected = Learner(options_for("via_point", shape="P"))
+    expected.start()
+    for name, values in expected.history.terms.items():
+        assert results["terms"][name][0] == pytest.approx(values[0], rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ("half_plane_force", "half_plane_force simulates what a robot would be; make a torchds.sessions.Session"),
+        ("two_starts", "tasks of several starts are several sessions"),
+        ("via_pont", "unknown task 'via_pont'. Did you mean 'via_point'"),
+    ],
+)
+def test_tasks_that_no_session_can_have_are_refused(tmp_path, command, task, words):
+    code, said = command("start", tmp_path / "s", "--task", task)
+    assert code == 2 and words in said and not (tmp_path / "s").exists()
