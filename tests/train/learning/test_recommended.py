@@ -41,6 +41,25 @@ def test_noisy_costs(shape, noise, end):
     assert noise / 2 < found / costs[0, 0] < 2 * noise
 
 
+@pytest.mark.parametrize("shape", ["N", "P"])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+@pytest.mark.slow
+def test_the_noise_is_known_after_a_hundred_roll_outs(shape, noise):
+    """Mean over 20 runs, as TensorBoard has it, in initial costs."""
+    options = options_for(
+        "via_point",
+        shape=shape,
+        runs=RUNS,
+        optimizer="surrogate",
+        exploration="trajectory",
+        cost_noise=noise,
+        updates=10,
+    )
+    learner = Learner(options).learn()
+    found = learner.searcher.scalars()["surrogate/noise"] / np.median(learner.history.cost[0])
+    assert noise / 2 < found < 2 * noise if noise else found < 0.02
+
+
 @pytest.mark.slow
 def test_a_budget_of_four_hundred_roll_outs_does_what_a_thousand_did():
     """PI^BB ends at 0.355 after 1000 roll-outs. The tests of the force fields hold it to the same there."""
