@@ -55,7 +55,6 @@ def parts() -> Iterator[Part]:
     others = (("pi2cma", "trajectory"), ("cma", "plain"), ("nes", "plain"), ("cobyqa", "plain"))
     for noise in NOISES[1:]:
         yield Part("noise", LETTERS, (PAPER, RECOMMENDED, *others), noise)
-    yield Part("gradients", LEARNED, (PAPER, ("adam", "plain"), ("lbfgs", "plain")))
     every = [(name, kind) for name in get_args(Optimizer) for kind in ("plain", "trajectory")]
     yield Part("optimizers", LETTERS, every, tuned=True, environments=("ViaPointN", "ViaPointP"))
 
@@ -127,7 +126,6 @@ TABLES: dict[str, Callable[[Sequence[Made]], str]] = {
     "transfer": learners,
     "learners": learners,
     "noise": beside,
-    "gradients": beside,
     "optimizers": beside,
 }
 

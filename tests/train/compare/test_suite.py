@@ -43,7 +43,7 @@ def test_the_recommended_learner_stands_beside_the_paper():
 
 
 def test_methods_stand_in_lines_and_problems_in_columns():
-    one = made("gradients")
+    one = made("optimizers")
     one.rows.append(Outcome("q", "adam", refused="has no gradient"))
     assert cells(suite.beside([one])) == [
         ["pibb", "2 (20)", "1 (40)"],
