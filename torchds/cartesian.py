@@ -159,10 +159,10 @@ class CartesianImpedance:
         from torchds.fused_arm import FusedArm
 
         home = screws.home if self.tool is None else screws.home @ self.tool
-        made = FusedArm(Screws(screws.axes, home), self.gains, self.torque_limit)
+        made = FusedArm(Screws(screws.axes, home), self.plane, self.gains, self.torque_limit)
 
         def law(state: State, reference: Reference, s: Tensor) -> CartesianControl:
-            return CartesianControl(*made(state, self._in_space(reference), s, self._stiffness[type(reference)]))
+            return CartesianControl(*made(state, reference, s, self._stiffness[type(reference)]))
 
         return law
 

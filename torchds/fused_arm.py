@@ -15,7 +15,7 @@ from torchds.arm_law import Gains, State
 from torchds.errors import InvalidArgumentError
 from torchds.kernels import arm
 from torchds.kinematics import Screws
-from torchds.targets import PoseReference
+from torchds.targets import Plane, PlaneReference, Reference
 
 
 class FusedArm:
@@ -23,12 +23,14 @@ class FusedArm:
 
     Args:
         screws: of the arm, with its tool.
+        plane: of the task.
         gains: of the law.
         limit: `(J,)` of the torques, or None.
     """
 
-    def __init__(self, screws: Screws, gains: Gains, limit: Tensor | None) -> None:
+    def __init__(self, screws: Screws, plane: Plane, gains: Gains, limit: Tensor | None) -> None:
         self.n_joints = len(gains.posture)
+        self.plane = (plane.first, plane.second, plane.normal, plane.sign, float(plane.offset))
         none = np.full(self.n_joints, np.inf)
         self.constants = (
             _array(screws.axes),
@@ -39,7 +41,7 @@ class FusedArm:
         )
 
     def __call__(
-        self, state: State, reference: PoseReference, stiffness: Tensor, gains: tuple[Tensor, Tensor]
+        self, state: State, reference: Reference, stiffness: Tensor, gains: tuple[Tensor, Tensor]
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """What the fields of `CartesianControl` hold.
 
@@ -48,25 +50,44 @@ class FusedArm:
             reference: of the tool.
             stiffness: `(...)` s.
             gains: what stays of the stiffness `(6,)`, and what s is multiplied with.
+
+        Raises:
+            InvalidArgumentError: a reference that does not fit the arms, or a mass matrix that is none.
         """
         batch, J = state.q.shape[:-1], self.n_joints
         n = math.prod(batch)
-        x, rotation, v, rate = reference
-        twist = torch.cat([v.expand(*batch, 3), rate.expand(*batch, 3)], -1)
-        given = (*state, x.expand(*batch, 3), rotation.expand(*batch, 3, 3), twist, stiffness.expand(batch))
-        sizes = ((J,), (J,), (J, J), (J,), (3,), (3, 3), (6,), ())
-        parts = [_array(part).reshape(n, *size) for part, size in zip(given, sizes, strict=True)]
-        made = [np.empty((n, *size)) for size in ((J,), (4, 4), (6,), (J,), (J,))]
+
+        def flat(part: Tensor, *axes: int) -> np.ndarray:
+            value = part.detach().numpy()
+            if value.shape != (*batch, *axes) or value.dtype != np.float64:
+                try:
+                    value = np.array(np.broadcast_to(value, (*batch, *axes)), dtype=np.float64)
+                except ValueError:
+                    raise InvalidArgumentError(
+                        f"a reference has to fit {tuple(batch)} arms, as {(*batch, *axes)}, got {value.shape}"
+                    ) from None
+            return np.ascontiguousarray(value).reshape(n, *axes)
+
+        arms = [flat(part, *axes) for part, axes in zip(state, ((J,), (J,), (J, J), (J,)), strict=True)]
+        if isinstance(reference, PlaneReference):
+            wanted = [flat(part, *axes) for part, axes in zip(reference, ((2,), (), (2,), ()), strict=True)]
+            target = [np.empty((n, *axes)) for axes in ((3,), (3, 3), (6,))]
+            arm.in_space(n, *wanted, *self.plane, *target)
+        else:
+            x, rotation, v, rate = reference
+            target = [flat(x, 3), flat(rotation, 3, 3), np.concatenate([flat(v, 3), flat(rate, 3)], 1)]
+        made = [np.empty((n, *axes)) for axes in ((J,), (4, 4), (6,), (J,), (J,))]
         fine = np.empty(n, dtype=np.bool_)
-        arm.law(n, *parts, *(_array(part) for part in (gains[1], gains[0])), *self.constants, *made, fine)
+        share = (_array(gains[1]), _array(gains[0]))
+        arm.law(n, *arms, *target, flat(stiffness), *share, *self.constants, *made, fine)
         if not fine.all():
             raise InvalidArgumentError(
                 "mass has to be symmetric and positive definite; is it the matrix of all joints?"
             )
-        torque, pose, error, wanted, nullspace = (
+        torque, pose, error, before, nullspace = (
             torch.from_numpy(part.reshape(*batch, *part.shape[1:])) for part in made
         )
-        return torque, pose, error, torque != wanted, nullspace
+        return torque, pose, error, torque != before, nullspace
 
 
 def _array(value: Tensor) -> np.ndarray:

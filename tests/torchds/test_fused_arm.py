@@ -29,6 +29,12 @@ def test_a_mass_that_is_none_is_refused(randn):
         controlled(randn)(q, v, mass, bias, reference(), 100.0)
 
 
+def test_a_reference_for_other_arms_is_refused(randn):
+    state, wrong = arms(randn, 7, 3), PlaneReference(randn(2, 2), randn(2), randn(2, 2), randn(2))
+    with pytest.raises(InvalidArgumentError, match=r"has to fit \(3,\) arms, as \(3, 2\), got \(2, 2\)"):
+        controlled(randn)(*state, wrong, 100.0)
+
+
 def test_gradients_go_through_torch(randn):
     q, v, mass, bias = arms(randn, 7, 3)
     q.requires_grad_()

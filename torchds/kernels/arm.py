@@ -24,12 +24,34 @@ SMALL = 1e-7  # share of the largest direction below which the tool cannot be mo
 
 def law(*arguments: Any) -> None:
     """Call the compiled loop, whose arguments `_arms` has."""
-    if not _made:
-        _made.append(kept(_arms, ("float64",), arguments))
-    _made[0](*arguments)
+    _call(_arms, arguments)
 
 
-_made: list[Any] = []
+def in_space(*arguments: Any) -> None:
+    """Call the compiled loop, whose arguments `_planes` has."""
+    _call(_planes, arguments)
+
+
+def _call(loop: Any, arguments: tuple[Any, ...]) -> None:
+    made = _made.get(loop)
+    if made is None:
+        made = _made[loop] = kept(loop, ("float64",), arguments)
+    made(*arguments)
+
+
+_made: dict[Any, Any] = {}
+
+
+def _planes(n, x, angle, v, rate, first, second, normal, sign, offset, position, rotation, twist):
+    """References in a plane as references in space, `torchds.targets.Plane.pose`."""
+    position[:], rotation[:], twist[:] = 0.0, 0.0, 0.0
+    for i in range(n):
+        c, s = math.cos(angle[i]), math.sin(angle[i])
+        position[i, first], position[i, second], position[i, normal] = x[i, 0], x[i, 1], offset
+        rotation[i, first, first], rotation[i, first, second] = c, -s
+        rotation[i, second, first], rotation[i, second, second] = s, c
+        rotation[i, normal, normal] = 1.0
+        twist[i, first], twist[i, second], twist[i, 3 + normal] = v[i, 0], v[i, 1], sign * rate[i]
 
 
 @piece
