@@ -197,7 +197,15 @@ class Task(ABC):
         return self.demonstrations if self.given_mixture is None else self.given_demonstrations
 
     def rollout(self, policy: GMRPolicy) -> Rollout:
-        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task."""
+        """Try `policy`, of any batch_shape, from all starts and under all conditions of the task.
+
+        A policy that makes its roll-outs itself, by a method `rollout(x0, n_steps, dt)`, does so where nothing stops or tracks
+        it.
+        """
+        own = getattr(policy, "rollout", None)
+        if own is not None and self.plant is None and self.stop is None:
+            path: Rollout = own(*self.motion())
+            return path
         return rollout(policy, *self.motion(), stop=self.stop, plant=self.tried(policy), feedback=self.feedback)
 
     def tried(self, policy: GMRPolicy) -> Plant | None:

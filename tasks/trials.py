@@ -47,11 +47,11 @@ class Trials:
     def __init__(self, task: Task, n: int) -> None:
         if n < 1:
             raise InvalidArgumentError(f"n has to be at least 1, got {n}")
-        if type(task).rollout is not Task.rollout:
+        self.task, self.policy = task, task.policy().requires_grad_(False)
+        if type(task).rollout is not Task.rollout or hasattr(self.policy, "rollout"):
             raise InvalidArgumentError(
                 f"a task that is tried step by step has to use `Task.rollout`, got {task.name!r} with a rollout of its own"
             )
-        self.task, self.policy = task, task.policy().requires_grad_(False)
         motion, scene = task.motion(), task.scene()
         x0, self.n_steps, self.dt = motion
         self.x0 = x0.expand(n, *x0.shape)

@@ -112,10 +112,6 @@ class ViaPoint(Task):
         """The motion from the one start."""
         return Motion(self.start, round(self.setup.duration / self.setup.dt), self.setup.dt)
 
-    def rollout(self, policy: GMRPolicy) -> Rollout:
-        """Try `policy`, of any batch_shape."""
-        return policy.rollout(*self.motion()) if isinstance(policy, DMP) else super().rollout(policy)
-
     def judged(self, path: Rollout) -> Tensor:
         """The positions `(*batch, T+1, 2)` that via-points and goal see."""
         return path.x

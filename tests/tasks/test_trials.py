@@ -40,3 +40,8 @@ def test_what_cannot_be_stepped_is_refused():
 
     with pytest.raises(InvalidArgumentError, match=r"has to use `Task\.rollout`, got 'elsewhere'"):
         Trials(Elsewhere(), 1)
+
+
+def test_a_policy_with_roll_outs_of_its_own_is_not_tried_step_by_step():
+    with pytest.raises(InvalidArgumentError, match=r"has to use `Task\.rollout`, got 'via_point'"):
+        Trials(tasks.make("via_point", system="dmp"), 1)
