@@ -285,7 +285,7 @@ def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     for shape in shapes:
         for i in range(-1, -len(shape) - 1, -1):
             if shape[i] != 1:
-                if found[i] not in (1, shape[i]):
+                if found[i] != 1 and found[i] != shape[i]:  # sizes may be symbols, which `in` does not compare
                     raise RuntimeError(f"shapes {[tuple(each) for each in shapes]} do not broadcast")
                 found[i] = shape[i]
     return tuple(found)

@@ -136,6 +136,8 @@ class ImpedanceControlled(Movable):
         return ScalarStep(IMPEDANCE, torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1), force)
 
     def _stiffness(self, x: Tensor, asked: Tensor | None) -> Tensor:
+        if isinstance(self.stiffness, float):
+            return torch.full_like(x, self.stiffness)
         if self.stiffness is not None:
             return beside("stiffness", self.stiffness, x, "a number or (D,)", last=0).expand_as(x)
         if asked is None:

@@ -36,15 +36,17 @@ def scanned(step: Step, start: Moment, n_steps: int, dt: float) -> Rollout:
     def body(carry: tuple[Tensor, ...], t: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         after, taken = step(_moment(carry, start), t)
         kept = [part for part in taken if part is not None]
-        # What is carried on and what is kept have to be tensors of their own.
-        return _tensors(after), tuple(part.clone() for part in (*_tensors(after), *kept))
+        # What is carried on and what is kept have to be tensors of their own; a constant force, say, is none.
+        carried = tuple(part.clone() for part in _tensors(after))
+        return carried, tuple(part.clone() for part in (*carried, *kept))
 
     times = dt * torch.arange(n_steps, dtype=start.x.dtype, device=start.x.device)
     begun = _tensors(start)
     if torch.compiler.is_compiling():
         _, kept = scan(body, begun, times)
     else:
-        with warnings.catch_warnings():  # of torch about itself
+        # Another time step is another program: as a symbol it has no gradients. What torch warns of is itself.
+        with warnings.catch_warnings(), torch._dynamo.config.patch(specialize_float=True):
             warnings.simplefilter("ignore")
             _, kept = scan(body, begun, times)
     axis = start.x.ndim - 1  # of time

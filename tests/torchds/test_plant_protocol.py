@@ -20,7 +20,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "plants.md"
 @pytest.fixture(scope="module")
 def page():
     """The names that the page's example leaves behind."""
-    (block,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    block = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[0]
     names = {"__name__": "page"}
     exec(compile(block, str(PAGE), "exec"), names)
     return names

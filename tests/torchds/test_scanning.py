@@ -49,6 +49,23 @@ def test_its_gradients_are_those_of_the_loop(random_policy, randn):
     assert_close(gradients[1], gradients[0], rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
+def test_other_sizes_and_time_steps_may_follow(random_policy, randn):
+    """What was traced first must not decide about what comes later: sizes become symbols, time steps must not."""
+    force = ConstantForce(torch.tensor([0.3, -0.2], dtype=torch.float64))
+    plant = ImpedanceControlled(PointMass(1.0, 1.0, force), stiffness=5.0)
+    for batch, points, dt in (((), (), 0.02), ((4,), (3,), 0.02), ((5,), (2,), 0.03)):
+        policy, x0 = random_policy(batch=batch), 0.5 * randn(*points, 2)
+        with torch.no_grad():
+            paths = [rollout(policy, x0, STEPS, dt, plant=plant, backend=backend) for backend in ("scan", "eager")]
+        compare(*paths)
+        gradients = []
+        for backend in ("eager", "scan"):
+            path = rollout(policy, x0, STEPS, dt, backend=backend)
+            gradients.append(torch.autograd.grad(path.x.square().sum() + path.v.sum(), [policy.A, policy.b]))
+        assert_close(gradients[1], gradients[0], rtol=1e-10, atol=1e-12)
+
+
 def test_gradients_beside_a_box_are_refused(random_policy, randn):
     with pytest.raises(
         InvalidArgumentError, match=r"no gradients where there is a stop condition.*take backend='eager'"
