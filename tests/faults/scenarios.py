@@ -118,6 +118,7 @@ class session:
 
     @staticmethod
     def command(folder):
+        learner_module.RunOptions.make_task = make_task
         return train_main.ended(lambda: session.type(folder / "s"))
 
     @staticmethod
