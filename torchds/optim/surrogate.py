@@ -217,10 +217,7 @@ class SurrogatePIBB(PIBB):
         regression = self._regression(known.get("noise_ratio"))
         predicted = regression.predict(self._coordinates(drawn))
         costs, best = predicted.topk(self.n_rollouts, dim=0, largest=False)
-        self._predicted, best = (
-            costs.flip(0),
-            best.flip(0),
-        )  # (N, *batch), the cheapest last: an elite takes the first place
+        self._predicted, best = costs.flip(0), best.flip(0)  # the cheapest last: an elite takes the first place
         self._said["surrogate/length"] = float(regression.length.mean())
         chosen = [
             [e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0) for e in noise]
