@@ -3,14 +3,19 @@
 import pytest
 import torch
 
+from tests.torchds.kernels.comparison import needs_numba
 from tests.torchds.kernels.test_arm import arms, screws
 from torchds.cartesian import CartesianImpedance
 from torchds.errors import InvalidArgumentError
-from torchds.fused_arm import FusedArm
 from torchds.kernels.choice import has
 from torchds.targets import PlaneReference
 
-pytest.importorskip("numba")
+pytestmark = needs_numba
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    monkeypatch.delenv("TORCHDS_BACKEND", raising=False)
 
 
 def reference():
@@ -43,7 +48,8 @@ def test_gradients_go_through_torch(randn):
 
 
 def test_it_is_compiled_where_it_can_be(randn, monkeypatch):
-    monkeypatch.delenv("TORCHDS_BACKEND", raising=False)
+    from torchds.fused_arm import FusedArm
+
     assert has("cpu")
     calls = []
     law = FusedArm.__call__

@@ -3,11 +3,12 @@
 import pytest
 import torch
 
+from tests.torchds.kernels.comparison import needs_numba
 from torchds.cartesian import CartesianImpedance
 from torchds.kinematics import Screws
 from torchds.targets import PlaneReference, PoseReference
 
-pytest.importorskip("numba")
+pytestmark = needs_numba
 
 
 def screws(randn, slides=(), n=7):
