@@ -11,6 +11,7 @@ import pytest
 
 import torchds
 from tests.arms import classic, mjcf
+from tests.without_torch import WITHOUT_TORCH
 
 pytest.importorskip("mujoco")
 ROOT = Path(__file__).parents[2]
@@ -18,16 +19,9 @@ HEADER = "time [s],x [m],y [m],z [m],qx,qy,qz,qw"
 SECONDS = 10.0
 POSTURE = [0.1, 0.5, 0.1, -1.5, 0.1, 1.1, 0.2]
 
-ROBOT = """
-import json, sys
-
-class Hidden:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] == "torch":
-            raise ModuleNotFoundError(name, name=name)
-
-sys.meta_path.insert(0, Hidden())
-import mujoco
+ROBOT = (
+    WITHOUT_TORCH
+    + """import mujoco
 import numpy as np
 from torchds import Controller
 
@@ -93,6 +87,7 @@ print(json.dumps({
     "cut": cut, "saturated": saturated, "late": controller.late, "torch": "torch" in sys.modules,
 }))
 """
+)
 
 
 def recorded(folder):

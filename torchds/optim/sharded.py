@@ -51,7 +51,7 @@ def sharded(closure: Closure, group: dist.ProcessGroup | None = None) -> Sharded
 
 
 class Sharded:
-    """What `sharded` returns; a search evaluates it by `evaluate`."""
+    """What `sharded` returns; a search evaluates it by `torchds_trial`."""
 
     def __init__(self, closure: Closure, group: dist.ProcessGroup | None = None) -> None:
         if not callable(closure):
@@ -64,7 +64,7 @@ class Sharded:
         """The closure at the parameters as they stand."""
         return self.closure()
 
-    def evaluate(self, noise: Table, n_rollouts: int, batched: bool) -> Trial:
+    def torchds_trial(self, noise: Table, n_rollouts: int, batched: bool) -> Trial:
         """The trial of all roll-outs, of which this process makes its share.
 
         Args:

@@ -168,8 +168,8 @@ class Compare:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        paths = {name: str(getattr(self, name)) for name in ("logdir", "keep")}
-        return {**asdict(self), **paths, "add": [str(path) for path in self.add]}
+        keep = None if self.keep is None else str(self.keep)
+        return {**asdict(self), "logdir": str(self.logdir), "keep": keep, "add": [str(path) for path in self.add]}
 
     # ------------------------------------------------------------------ one row
 

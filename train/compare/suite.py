@@ -65,10 +65,6 @@ class Made(NamedTuple):
     part: Part
     rows: Sequence[Outcome]
 
-    def groups(self) -> Mapping[str, list[Outcome]]:
-        """The rows of each problem."""
-        return by_problem(self.rows)
-
 
 def deep(logdir: Path, environment: Environment, updates: int | None) -> Path:
     """The folder of three runs of PPO at the budget of the others, which are made if they are not there."""

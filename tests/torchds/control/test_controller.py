@@ -12,6 +12,7 @@ import torch
 
 import torchds
 from tests.torchds.kernels.comparison import needs_numba
+from tests.without_torch import WITHOUT_TORCH
 from torchds import Controller, control
 from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
 
@@ -287,14 +288,9 @@ def test_without_numba_the_extra_is_named(spring, monkeypatch):
 
 # ---------------------------------------------------------------------- without torch
 
-ROBOT = """
-import json, sys
-class Hidden:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] == "torch":
-            raise ModuleNotFoundError(name, name=name)
-sys.meta_path.insert(0, Hidden())
-import torchds
+ROBOT = (
+    WITHOUT_TORCH
+    + """import torchds
 controller = torchds.Controller.load(sys.argv[1], max_speed=100.0)
 controller.reset([0.3, -0.2])
 ticks = [controller.step() for _ in range(100)]
@@ -305,6 +301,7 @@ except AttributeError as error:
 x, stiffness = [t.x.tolist() for t in ticks], [t.stiffness.tolist() for t in ticks]
 print(json.dumps([x, stiffness, list(controller.goal), said, "torch" in sys.modules]))
 """
+)
 
 
 @pytest.mark.slow

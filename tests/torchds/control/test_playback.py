@@ -11,18 +11,14 @@ import torch
 
 import torchds
 from tests.torchds.sessions.motions import session
+from tests.without_torch import WITHOUT_TORCH
 from torchds.control import Controller, Playback, Recorder
 from torchds.errors import FileError, InvalidArgumentError
 
 ROOT = Path(__file__).parents[3]
-ROBOT = """
-import json, sys
-class Hidden:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] == "torch":
-            raise ModuleNotFoundError(name, name=name)
-sys.meta_path.insert(0, Hidden())
-from torchds.control import Playback
+ROBOT = (
+    WITHOUT_TORCH
+    + """from torchds.control import Playback
 for path in sys.argv[1:]:
     played = Playback(path)
     x, late = played.x0.copy(), 0.2
@@ -32,6 +28,7 @@ for path in sys.argv[1:]:
     played.write()
 print(json.dumps("torch" in sys.modules))
 """
+)
 
 
 @pytest.mark.slow
