@@ -49,7 +49,7 @@ def run(field: Field, start: Tensor, setting: Setting) -> Track:
     shift, stop, plant, force = (_table(None if t is None else recurring(t, lead)) for t in given)
     with torch.cuda.device(rows.get_device()):  # -1 for the CPU, of which nothing is chosen
         roll[(-(-n // TOGETHER),)](
-            n, T, n // math.prod(rows.shape[:-2]), setting.dt, _table(rows.flatten(-2))[0], *_table(gates)[:2],
+            n, T, n // math.prod(rows.shape[:-2]), setting.dt, rows.detach().contiguous(), *_table(gates)[:2],
             *_table(start)[:2], *shift[:2], _table(begin)[0], path, resting, *stop, *plant, *force,
             STOP=stops, FORCE=pushes, CHANCE=plant[2] > 7 + D, K=K, D=D, O=O, Q=Q, LIMIT=field.limit, TOGETHER=TOGETHER,
             num_warps=1, enable_fp_fusion=False,

@@ -79,7 +79,7 @@ def roll(
     """
     i = tl.minimum(tl.program_id(0).to(tl.int64) * TOGETHER + tl.arange(0, TOGETHER), n - 1)
     policy = i // n_points
-    R = read_all((rows, n // n_points), policy, (O + Q) * K * (D + 1))
+    R = read_all((rows, 1), policy * ((O + Q) * K * (D + 1)), (O + Q) * K * (D + 1))  # one after the other: no table
     G = read_all((gates, n_gates), policy % n_gates, D + K * (D * D + D + 1))
     center, factors, offset, log_scale = G[:D], G[D : D + K * D * D], G[D + K * D * D : -K], G[-K:]
     x = read_all((start, n_starts), i % n_starts, D)

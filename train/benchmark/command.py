@@ -14,7 +14,7 @@ from typing import Any, Literal
 import torch
 from tqdm import tqdm
 
-from torchds.errors import FileError
+from torchds.errors import FileError, TorchdsError
 from torchds.files import write_atomically
 from train.benchmark.floor import Floor, compile_floor, run_floor
 from train.benchmark.rows import N_STEPS, Row, rows
@@ -55,8 +55,12 @@ class Benchmark:
             if program is None:
                 print("no C++ compiler here (g++, clang++ or c++): there is no floor to compare with")
             for row in tqdm([row for row in rows(task, policy, self.device, self.updates) if self.only in row.name]):
+                try:
+                    seconds = measure(self.finished(row.call), self.repeats)
+                except (TorchdsError, torch.cuda.OutOfMemoryError):
+                    continue  # this machine cannot
                 floor = None if program is None or row.floor is None else self.floor(program, row, policy)
-                timed.append(entry(row, measure(row.call, self.repeats), floor))
+                timed.append(entry(row, seconds, floor))
         found = {
             "date": datetime.date.today().isoformat(),
             "versions": versions(),
@@ -79,6 +83,16 @@ class Benchmark:
         updates = 0 if kind == "passes" else self.updates
         measured: Floor = run_floor(program, task, policy.to("cpu"), n, steps, updates, self.repeats)
         return [row.share * seconds for seconds in getattr(measured, kind)]
+
+    def finished(self, call: Callable[[], object]) -> Callable[[], None]:
+        """`call`, and all that it has begun."""
+
+        def finish() -> None:
+            call()
+            if self.device == "cuda":
+                torch.cuda.synchronize()
+
+        return finish
 
     def name(self) -> str:
         """The device in words."""
