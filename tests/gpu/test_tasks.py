@@ -1,6 +1,7 @@
 """On a GPU: every task but the digging, and optimizers × explorations, against the CPU."""
 
 import copy
+import io
 
 import pytest
 import torch
@@ -34,16 +35,41 @@ def test_a_trial_costs_the_same(name, convention, tmp_path):
         assert_close(far[term].cpu().detach(), value.detach(), rtol=0, atol=1e-8 * scale)
 
 
+def learned(device, name="via_point", **options):
+    """A learner of that device, after two updates."""
+    chosen = options_for(name, device=device, **{"runs": 2, "updates": 2, "rollouts": 5} | options)
+    learner = Learner(chosen).learn()
+    assert learner.policy.A.device.type == device
+    return learner
+
+
+def assert_alike(one, other):
+    """Up to round-off, which an update makes larger."""
+    assert_close(torch.tensor(one.history.cost), torch.tensor(other.history.cost), rtol=1e-7, atol=1e-9)
+
+
 @pytest.mark.parametrize("exploration", ["homogeneous", "gaussian", "trajectory"])
 @pytest.mark.parametrize("optimizer", ["pibb", "pi2", "pi2cma", "surrogate", "adam", "nes"])
 def test_a_run_learns_the_same(optimizer, exploration):
-    """Up to round-off, which an update makes larger."""
-    costs = {}
-    for device in ("cpu", "cuda"):
-        chosen = options_for(
-            "via_point", optimizer=optimizer, exploration=exploration, device=device, runs=2, updates=2, rollouts=5
-        )
-        learner = Learner(chosen).learn()
-        assert learner.policy.A.device.type == device
-        costs[device] = torch.tensor(learner.history.cost)
-    assert_close(costs["cuda"], costs["cpu"], rtol=1e-7, atol=1e-9)
+    chosen = {"optimizer": optimizer, "exploration": exploration}
+    assert_alike(learned("cuda", **chosen), learned("cpu", **chosen))
+
+
+@pytest.mark.parametrize("name", ["half_plane_force", "divergent_field"])
+def test_a_run_by_chance_learns_the_same(name):
+    chosen = {"sensor_noise": 0.02, "pushes": 5.0, "cost_noise": 0.1}
+    assert_alike(learned("cuda", name, **chosen), learned("cpu", name, **chosen))
+
+
+def test_a_checkpoint_moves():
+    here, there = learned("cpu"), learned("cuda")
+    saved = io.BytesIO()
+    torch.save(there.state_dict(), saved)
+    saved.seek(0)
+    back = learned("cpu", updates=0)
+    back.load_state_dict(torch.load(saved, map_location="cpu"))
+    forth = learned("cuda", updates=0)
+    forth.load_state_dict(here.state_dict())
+    for learner in (back, forth):
+        learner.update()
+    assert_alike(forth, back)

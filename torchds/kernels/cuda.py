@@ -20,6 +20,7 @@ from torchds.kernels.fused import Field, Setting, Track, recurring
 from torchds.kernels.steps import NONE, ScalarStep
 
 TOGETHER = 32  # roll-outs of a program, which is one warp
+OLDEST = (7, 0)  # compute capability that Triton still compiles for
 LARGEST = 1000  # K (D+1) (D+O+Q): Triton compiles for half a minute, since each product of a step is code of its own
 
 
@@ -63,10 +64,12 @@ def run(field: Field, start: Tensor, setting: Setting) -> Track:
 
 
 def ready() -> None:
-    """Raise a RuntimeError where Triton cannot start kernels: it needs a GPU, and a C compiler."""
+    """Raise a RuntimeError where Triton cannot start kernels: it needs a GPU that it compiles for, and a C compiler."""
     import triton
 
     triton.runtime.driver.active.get_current_device()
+    if torch.version.hip is None and torch.cuda.get_device_capability() < OLDEST:
+        raise RuntimeError(f"Triton needs a GPU of compute capability {OLDEST}")
 
 
 def _kind(step: ScalarStep | None) -> int:

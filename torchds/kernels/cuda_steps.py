@@ -60,19 +60,8 @@ def read_all(table, column, COUNT: tl.constexpr):
 @triton.jit
 def write(table, column, first, values, COUNT: tl.constexpr):
     """The reverse, to rows `first`, .."""
-    WIDTH: tl.constexpr = triton.next_power_of_2(COUNT)
-    parts = ()
-    for j in tl.static_range(WIDTH):
-        parts += (tl.reshape(values[j % COUNT], (column.shape[0], 1)),)
-    for j in tl.static_range(16):
-        if 2**j < COUNT:
-            joined = ()
-            for m in tl.static_range(WIDTH // 2 ** (j + 1)):
-                pair = tl.join(parts[m], parts[m + WIDTH // 2 ** (j + 1)])
-                joined += (tl.reshape(pair, (column.shape[0], 2 ** (j + 1))),)
-            parts = joined
-    row = tl.arange(0, WIDTH)[:, None]
-    tl.store(place(table, column[None, :], first + row), tl.trans(parts[0]), mask=row < COUNT)
+    for j in tl.static_range(COUNT):
+        tl.store(place(table, column, first + j), values[j])
 
 
 @triton.jit
