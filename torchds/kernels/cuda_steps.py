@@ -171,8 +171,9 @@ def plant_step(
     seen, seen_speeds = before[:D], before[D : 2 * D]
     if CHANCE:
         now, last = 7 + D + 3 * D * t, p[2] - 3 * D
-        wrong = read(p, column, tl.minimum(now, last), 3 * D)
-        wrong = tuple([tl.where(now <= last, each, 0.0) for each in wrong])
+        drawn, wrong = read(p, column, tl.minimum(now, last), 3 * D), ()
+        for d in tl.static_range(3 * D):
+            wrong += (tl.where(now <= last, drawn[d], 0.0),)
         seen, seen_speeds = added(seen, wrong[:D], D), added(seen_speeds, wrong[D : 2 * D], D)
         force = added(force, wrong[2 * D :], D)
     for d in tl.static_range(D):

@@ -130,7 +130,7 @@ def table(found: dict[str, Any]) -> str:
     """Everything as a page has it."""
     body = []
     for row in found["rows"]:
-        ratio = "" if row["ratio"] is None else f"{row['ratio']:.1f}"
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:{'.1f' if row['ratio'] > 0.1 else '.1g'}}"
         floor = "" if row["floor"] is None else in_words(row["floor"])
         low, high = row["quartiles"]
         body.append((row["name"], ratio, in_words(row["median"]), f"{in_words(low)} to {in_words(high)}", floor))
