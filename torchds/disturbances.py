@@ -5,12 +5,14 @@ Stability: stable.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchds import sharing
 from torchds.arrays import count, number
 
 
@@ -56,7 +58,8 @@ def draw(
     """Draw sensor noise and one push for each roll-out, on the CPU.
 
     The measured position is wrong by independent normal numbers, the measured velocity by their differences over time, as
-    where it is computed from positions. The push begins at any time and is a constant force in a random direction.
+    where it is computed from positions. The push begins at any time and is a constant force in a random direction. Where
+    roll-outs are shared out over processes, each gets the disturbances that it has in one process (`torchds.sharing`).
 
     Args:
         shape: `(*batch, *points, D)`.
@@ -77,9 +80,10 @@ def draw(
     for name, value in (("dt", dt), ("duration", duration)):
         number(name, value, "finite and positive", lambda time: 0 < time < math.inf)
     *lead, D = shape
-    wrong = sensor * torch.randn(*lead, n_steps + 1, D, generator=generator, dtype=dtype)
-    force = push * torch.randn(*lead, 1, D, generator=generator, dtype=dtype)
-    begin = torch.rand(*lead, 1, 1, generator=generator, dtype=dtype) * n_steps
+    normal, uniform = (functools.partial(of, generator=generator, dtype=dtype) for of in (torch.randn, torch.rand))
+    wrong = sensor * sharing.drawn((*lead, n_steps + 1, D), normal)
+    force = push * sharing.drawn((*lead, 1, D), normal)
+    begin = sharing.drawn((*lead, 1, 1), uniform) * n_steps
     since = torch.arange(n_steps, dtype=dtype).unsqueeze(-1) - begin.floor()  # steps since the push began, (..., T, 1)
     pushed = (since >= 0) & (since < round(duration / dt))
     return Disturbance(wrong[..., 1:, :], wrong.diff(dim=-2) / dt, force.where(pushed, 0.0))

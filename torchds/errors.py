@@ -56,6 +56,10 @@ class AllRolloutsFailedError(TorchdsError, RuntimeError):
     """Every roll-out of an update had a cost that is not finite; the parameters were left as they were."""
 
 
+class ProcessLostError(TorchdsError, RuntimeError):
+    """Another process of a group ended, or was silent for longer than the group waits; nothing was changed."""
+
+
 class MissingPackageError(TorchdsError, ImportError):
     """An optional package is not installed; the message names the extra that brings it."""
 

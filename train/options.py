@@ -32,6 +32,9 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 """Options of the two learners that are held against each other: that of the paper, and the one to recommend."""
 
+UNKEPT = ("resume", "folder", "patience")
+"""Options of one command, which are no part of the run."""
+
 
 @dataclass
 class RunOptions:
@@ -93,6 +96,12 @@ class RunOptions:
     resume: Path | None = None
     """Continue the run in this folder, with its own options. Of those given beside it more --updates extend the run; others
     are refused where they differ."""
+    folder: Path | None = None
+    """The folder of the run in place of one below --logdir; where a run is there already, it is continued as by --resume. So
+    the same command can be given again whatever happened."""
+    patience: float = 1800.0
+    """Under torchrun: how long the processes wait for each other [s]. It has to be longer than one process's roll-outs of an
+    update."""
 
     def __post_init__(self) -> None:
         for option, known in (("optimizer", Optimizer), ("exploration", Exploration)):
@@ -126,7 +135,7 @@ class RunOptions:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, as options.json and results.json keep them."""
-        return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name != "resume"}
+        return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name not in UNKEPT}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -136,7 +145,7 @@ class RunOptions:
             InvalidArgumentError: an option that does not exist, or a value that it cannot have.
         """
         kinds = get_type_hints(cls)
-        known = {field.name: kinds[field.name] for field in fields(cls) if field.name != "resume"}
+        known = {field.name: kinds[field.name] for field in fields(cls) if field.name not in UNKEPT}
         for name, value in values.items():
             if name not in known:
                 raise UnknownNameError(f"option of {cls.task}", name, known)

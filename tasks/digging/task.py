@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,7 @@ from tasks.digging.worlds import Worlds
 from tasks.imitation import with_stiffness
 from tasks.lwr_digging import HIGH, LOW, SECONDS, DiggingOptions
 from tasks.settings import PAPER_FLOOR, Motion, Scene
-from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, load_csv, rollout, sharing
 from torchds.errors import InvalidArgumentError
 
 BEDS = {"fine": Gravel(), "coarse": COARSE}
@@ -134,11 +135,11 @@ class LwrDigging(DiggingOptions):
         possible = lwr.reaches(*reference.unbind(-1)).all(-1) & stiffness.isfinite().all(-1)
         stay = torch.where(possible[:, None, None], reference, self.start)
         soft = torch.where(possible[:, None], stiffness, LOW)
-        n = len(stay)
         # Beds of one seed do not meet those of another for the first million trials.
-        seeds = [self.seed * 1_000_000 + self.trials + i for i in range(n)]
-        self.trials += n
-        done = dig(self.worlds(n), stay, soft, seeds, self.progress)
+        first = self.seed * 1_000_000 + self.trials
+        seeds = sharing.drawn(tuple(batch), lambda all_: first + torch.arange(math.prod(all_)).reshape(all_))
+        self.trials += math.prod(sharing.whole(tuple(batch)))
+        done = dig(self.worlds(len(stay)), stay, soft, seeds.flatten().tolist(), self.progress)
         done = done._replace(failed=done.failed | ~possible)
         # `dig` works in inference mode; its copies are tensors like any other
         return Recording(*(value.clone().reshape(batch + value.shape[1:]) for value in done))

@@ -341,7 +341,7 @@ INSIDE = {
     "exploration.homogeneous.Homogeneous.measure", "exploration.stable.Stable.__call__", "exploration.stable.Stable.measure",
     "exploration.stable.Stable.stabilise", "exploration.trajectory.TrajectorySpace.__call__",
     "exploration.trajectory.TrajectorySpace.measure", "fits.Noise.like", "optim.functional.failures",
-    "optim.functional.quantile",
+    "optim.functional.quantile", "optim.sharded.Sharded.together",
     "forces.ConstantForce.__call__",
     "forces.DivergentForce.__call__", "impedance.ImpedanceControlled.reset", "mending.resample", "parameters.ExpertParameters",
     "parameters.ExpertParameters.from_rows", "parameters.ExpertParameters.join", "parameters.arrange",

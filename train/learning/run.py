@@ -19,7 +19,8 @@ from train.learning.album import Album
 from train.learning.events import Events
 from train.learning.history import results, table
 from train.learning.learner import Learner
-from train.options import RunOptions, check_seed
+from train.learning.processes import Processes, Several, joined, restarts
+from train.options import UNKEPT, RunOptions, check_seed
 from train.searchers.named import runs_vary
 from train.statistics import median, quartiles
 
@@ -44,7 +45,7 @@ def check(options: RunOptions) -> None:
 
 
 def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
-    """Learn, log, and return the folder of the run.
+    """Learn, log, and return the folder of the run; started by torchrun, together with the other processes.
 
     Args:
         options: of the run, or of one to resume.
@@ -53,22 +54,60 @@ def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
     Raises:
         InvalidArgumentError: options that do not fit.
         FileError: what is to be resumed is damaged or belongs to another run, or nothing can be written.
-        Interrupted: from the keyboard; everything up to the last checkpoint is kept.
+        ProcessLostError: another process has ended or hangs; everything up to the last checkpoint is kept.
+        Interrupted: from the keyboard; the same holds.
     """
-    if options.resume is None:
-        check(options)
-        task = options.make_task()
-        if options.runs > 1 and not runs_vary(options, task):
-            print(
-                f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {options.runs}"
-            )
-            options = replace(options, runs=1)
-        learner = Learner(options, task)
+    with joined(options.patience) as processes:
+        if isinstance(processes, Several) and processes.rank:
+            return follow(processes, options)
+        try:
+            return lead(options, given, processes)
+        finally:
+            processes.tell(None)
+
+
+def follow(processes: Several, options: RunOptions) -> Path:
+    """Make the updates that the first process tells of, and write nothing."""
+    try:
+        if (said := processes.hear()) is not None:
+            learner = Learner(type(options).from_json(said["options"]))
+            learner.load_state_dict(said["state"])
+            while learner.done < learner.n_updates:
+                learner.update()
+    except KeyboardInterrupt:
+        raise Interrupted(f"process {processes.rank} stopped") from None
+    return options.logdir
+
+
+def lead(options: RunOptions, given: Collection[str] | None, processes: Processes) -> Path:
+    """Begin or continue the run, and write all that it leaves behind."""
+    if options.folder is not None and options.resume is None and RunFolder(options.folder).has(OPTIONS):
+        return resume(options, given, RunFolder(options.folder, "--folder"), processes)
+    if options.resume is not None:
+        return resume(options, given, RunFolder(options.resume, "--resume"), processes)
+    check(options)
+    if restarts() and options.folder is None:
+        raise InvalidArgumentError(
+            "torchrun --max-restarts needs --folder DIR or --resume DIR, so that a restart finds the run that was begun"
+        )
+    task = options.make_task()
+    if options.runs > 1 and not runs_vary(options, task):
+        print(
+            f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {options.runs}"
+        )
+        options = replace(options, runs=1)
+    learner = Learner(options, task)
+    if options.folder is not None:
+        folder = RunFolder(options.folder, "--folder")
+    else:
         folder = RunFolder.new(options.logdir, options.name, short(options.optimizer), options.seed)
-        with folder.alone():
-            folder.begin(options.task, options.to_json())
-            return learn(folder, learner)
-    folder = RunFolder(options.resume, "--resume")
+    with folder.alone():
+        folder.begin(options.task, options.to_json())
+        return learn(folder, learner, processes=processes)
+
+
+def resume(options: RunOptions, given: Collection[str] | None, folder: RunFolder, processes: Processes) -> Path:
+    """Continue the run in a folder."""
     folder.require(OPTIONS)
     with folder.alone():
         before = folder.options()
@@ -86,7 +125,7 @@ def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
                 f"{learner.done} updates are made, goes on to {learner.n_updates}; the noise keeps the decay that it was begun "
                 f"with: {decay(learner)}"
             )
-        return learn(folder, learner, written)
+        return learn(folder, learner, written, processes)
 
 
 def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Collection[str] | None) -> RunOptions:
@@ -97,11 +136,11 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
     """
     if options.task != before.task:
         raise InvalidArgumentError(
-            f"--resume {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
+            f"{folder.option} {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
             f"python -m train {before.task} --resume {folder.path}"
         )
     usual = type(options)()
-    names = [field.name for field in fields(options) if field.name not in ("resume", "logdir")]
+    names = [field.name for field in fields(options) if field.name not in (*UNKEPT, "logdir")]
     if given is None:
         given = [name for name in names if getattr(options, name) != getattr(usual, name)]
     differing = [name for name in names if name in given and getattr(options, name) != getattr(before, name)]
@@ -112,8 +151,8 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
     ]
     if contradicting:
         raise InvalidArgumentError(
-            f"--resume {folder.path} continues a run with its own options, and cannot take {', '.join(contradicting)}; leave "
-            "them out, or begin another run"
+            f"{folder.option} {folder.path} continues a run with its own options, and cannot take "
+            f"{', '.join(contradicting)}; leave them out, or begin another run"
         )
     return replace(before, **{name: getattr(options, name) for name in differing})
 
@@ -125,14 +164,16 @@ def decay(learner: Learner) -> str:
     return name if width is None else f"{name}, its width is {width:.3g} times that of the start"
 
 
-def learn(folder: RunFolder, learner: Learner, written: int = 0) -> Path:
+def learn(folder: RunFolder, learner: Learner, written: int = 0, processes: Processes | None = None) -> Path:
     """Make the updates that are missing, and write what a finished run has; one that is finished is left as it is.
 
     Args:
         folder: of the run, which nobody else writes to.
         learner: new, or as the checkpoint has it.
         written: bytes of TensorBoard's file that belong to the checkpoint.
+        processes: that try their share of the roll-outs; None for this one alone.
     """
+    processes = processes or Processes()
     options, history = learner.options, learner.history
     print(f"{options.name}: {options.runs} run(s), logs in {folder.path}")
     if folder.has(RESULTS) and len(folder.results()["cost"]) == learner.n_updates + 1 == learner.done + 1:
@@ -148,6 +189,7 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0) -> Path:
             learner.start()
             log(events, learner, seconds=0.0)
             album.add()
+        processes.tell({"options": options.to_json(), "state": learner.state_dict()})
         bar = tqdm(initial=learner.done, total=learner.n_updates, unit="update", dynamic_ncols=True)
         saved = -SAVE_EVERY
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from tasks import Task
-from torchds import GMRPolicy
+from torchds import GMRPolicy, sharing
 from torchds.errors import InvalidArgumentError
 from torchds.optim import PolicySearch
 
@@ -87,7 +88,8 @@ def noisy(closure: Closure, std: float, per_step: bool, generator: torch.Generat
     def with_noise() -> Tensor:
         costs = closure()
         shape = costs.shape[:-1] if per_step else costs.shape
-        noise = std * torch.randn(shape, dtype=costs.dtype, generator=generator).to(costs.device)
+        normal = functools.partial(torch.randn, dtype=costs.dtype, generator=generator)
+        noise = std * sharing.drawn(tuple(shape), normal).to(costs.device)
         return torch.cat([costs[..., :-1], costs[..., -1:] + noise.unsqueeze(-1)], -1) if per_step else costs + noise
 
     return with_noise

@@ -8,7 +8,7 @@ is in three tensors or deep in the stack of a library. Methods think on the CPU,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -20,6 +20,8 @@ from torchds import GMRPolicy
 from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
+from torchds.optim.sharded import Sharded
+from torchds.sharing import Share, trying
 from train.searchers.base import GRADIENT_COST, JACOBIAN_COST, Closure, Searcher
 
 
@@ -191,24 +193,36 @@ class CoordinateSearch(Searcher):
         self.policy.unpack(torch.where(finite, theta, self.policy.pack().detach()))
 
     def _try(self, closure: Closure, z: Tensor) -> Answer:
-        """Run the trials; the gradient in z is Lᵀ times the one in θ."""
-        present, gradient = self.policy.pack().detach(), None
-        try:
-            self.policy.unpack(self.theta(z))
-            with torch.set_grad_enabled(self.method.gradient):
+        """Run the trials, each process its share of them where there are several (`torchds.optim.sharded`)."""
+        present, theta = self.policy.pack().detach(), self.theta(z)
+        shared = closure if isinstance(closure, Sharded) else None
+
+        def tried(mine: slice) -> list[Tensor]:
+            self.policy.unpack(theta[mine])
+            with torch.set_grad_enabled(self.method.gradient), trying(Share(mine.start, mine.stop, len(z))):
                 cost = closure()
-            self._check_cost(cost, z)
-            if self.method.gradient:
-                named = dict(self.policy.named_parameters())
-                free = {name: p for name, p in named.items() if p.requires_grad}
-                slopes = torch.autograd.grad(cost.sum(), tuple(free.values()), materialize_grads=True)
-                zero = {name: torch.zeros_like(p) for name, p in named.items()}
-                in_theta = self.policy.join({**zero, **dict(zip(free, slopes, strict=True))})
-                gradient = (self.L.mT @ in_theta.unsqueeze(-1)).squeeze(-1).cpu()
+            self._check_cost(cost, z[mine])
+            return [cost.detach(), self._slopes(cost)] if self.method.gradient else [cost.detach()]
+
+        try:
+            found: Sequence[Any] = (
+                tried(slice(0, len(z))) if shared is None else shared.together(len(z), tried, [theta])
+            )
         finally:
             self.policy.unpack(present)
-        cost = cost.detach().to("cpu", self.L.dtype)
+        cost, *slopes = found
+        cost = cost.to("cpu", self.L.dtype)
+        # The gradient in z is Lᵀ times the one in θ.
+        gradient = (self.L.mT @ slopes[0].unsqueeze(-1)).squeeze(-1).cpu() if slopes else None
         return Answer(torch.where(cost.isfinite(), cost, torch.inf), gradient)
+
+    def _slopes(self, cost: Tensor) -> Tensor:
+        """The gradient `(n, runs, P)` of costs `(n, runs)` in θ; that of frozen parameters is zero."""
+        named = dict(self.policy.named_parameters())
+        free = {name: p for name, p in named.items() if p.requires_grad}
+        slopes = torch.autograd.grad(cost.sum(), tuple(free.values()), materialize_grads=True)
+        zero = {name: torch.zeros_like(p) for name, p in named.items()}
+        return self.policy.join({**zero, **dict(zip(free, slopes, strict=True))})
 
     def _check_cost(self, cost: Tensor, z: Tensor) -> None:
         if not isinstance(cost, Tensor) or cost.shape != z.shape[:-1]:

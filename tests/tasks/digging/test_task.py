@@ -7,10 +7,12 @@ import pytest
 import torch
 
 import tasks
+import tasks.digging.task as task_module
 from torchds import Demonstrations
-from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
 from torchds.exploration import Homogeneous
 from torchds.optim import PIBB
+from torchds.sharing import Share, trying
 from train.learning.learner import Learner
 from train.options import options_for
 
@@ -187,3 +189,21 @@ def test_bad_options_are_refused_before_anything_is_built():
             tasks.make("lwr_digging", **options)
     with pytest.raises(UnknownNameError, match="lwr_digging"):
         tasks.make("digging")
+
+
+def test_shares_of_a_trial_meet_the_beds_of_one_process(monkeypatch):
+    met = []
+
+    def dig(worlds, reference, stiffness, seeds, progress):
+        met.append(seeds)
+        raise TorchdsError("dug")
+
+    monkeypatch.setattr(task_module, "dig", dig)
+    for share in (None, Share(0, 2, 5), Share(2, 5, 5)):
+        task = tasks.make("lwr_digging", seed=3, **SHORT)
+        task.trials, task.worlds = 7, lambda n: None
+        n = 5 if share is None else share.last - share.first
+        with trying(share), pytest.raises(TorchdsError, match="dug"):
+            task.execute(task.start.expand(n, 2, 11, 3), torch.full((n, 2, 10), 300.0, dtype=torch.float64))
+        assert task.trials == 7 + 10
+    assert met[0] == [3_000_007 + i for i in range(10)] == met[1] + met[2]
