@@ -23,6 +23,7 @@ from train.benchmark.command import Benchmark
 from train.beyond.command import Beyond
 from train.beyond.primitives.command import Primitives
 from train.compare.command import Compare
+from train.compare.sweep.command import Sweep
 from train.deep_rl.command import DeepRL
 from train.folder import Interrupted
 from train.hardware.arm import Arm
@@ -55,6 +56,7 @@ def main() -> int:
         "push": Push,
         "view": View,
         "compare": Compare,
+        "sweep": Sweep,
         "beyond": Beyond,
         "primitives": Primitives,
         "benchmark": Benchmark,

@@ -100,8 +100,7 @@ class RunOptions:
     """The folder of the run in place of one below --logdir; where a run is there already, it is continued as by --resume. So
     the same command can be given again whatever happened."""
     patience: float = 1800.0
-    """Under torchrun: how long the processes wait for each other [s]. It has to be longer than one process's roll-outs of an
-    update."""
+    """Under torchrun: how long the processes wait for each other in an update [s], before the run stops."""
 
     def __post_init__(self) -> None:
         for option, known in (("optimizer", Optimizer), ("exploration", Exploration)):

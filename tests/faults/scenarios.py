@@ -19,6 +19,7 @@ from train import __main__ as train_main
 from train.compare import command as compare_command
 from train.hardware.command import SessionOptions
 from train.hardware.session import Session
+from train.learning import kept
 from train.learning import learner as learner_module
 from train.learning import run as run_module
 from train.options import options_for
@@ -26,7 +27,7 @@ from train.paper.measured import digging as experiment_module
 
 torch.set_num_threads(1)
 tqdm.tqdm.monitor_interval = 0  # no thread beside the one that is forked
-run_module.SAVE_EVERY = compare_command.SAVE_EVERY = 0.0  # a checkpoint after every update: more places to be killed at
+run_module.SAVE_EVERY = kept.SAVE_EVERY = 0.0  # a checkpoint after every update: more places to be killed at
 run_module.figures = SimpleNamespace(of_run=lambda learner: {})
 run_module.Album = lambda events, learner: SimpleNamespace(
     learner=learner, add=lambda: None, finish=lambda folder: None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,21 +11,19 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from tqdm import tqdm
 
-import tasks
 from tasks import PROBLEMS
 from tasks.loading import is_spec, short
 from tasks.transfer import TRANSFER
 from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report, suite
 from train.compare.report import Outcome
-from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder, check_identity, new_folder, versions, write_text
-from train.learning.history import results
+from train.folder import Interrupted, RunFolder, new_folder, versions, write_text
+from train.learning.kept import found, learned, made
 from train.learning.learner import Learner
 from train.options import Optimizer, RunOptions, check_seed, options_class
 from train.searchers.named import METHODS, runs_vary
 from train.statistics import median
 
-SAVE_EVERY = 10.0  # s between two checkpoints
 TUNING_SEED = 1000  # added to the seed of the reported runs
 
 CoordinateKind = Literal["plain", "trajectory"]
@@ -140,15 +136,15 @@ class Compare:
         Raises:
             Interrupted: from the keyboard; the same command continues.
         """
-        found = []
+        outcomes = []
         try:
             for candidate in candidates:
                 bar.set_postfix_str(f"{candidate.problem}: {candidate.label}")
-                found.append(self.row(candidate, bar))
+                outcomes.append(self.row(candidate, bar))
                 bar.update()
         except KeyboardInterrupt:
             raise Interrupted("stopped; the same command continues") from None
-        return found
+        return outcomes
 
     def check(self) -> None:
         """Refuse what cannot be compared, before anything runs."""
@@ -230,38 +226,15 @@ class Compare:
         own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
         key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
         folder = RunFolder(self.logdir / "compare" / "runs" / options.name / f"{short(options.optimizer)}-{key}")
-        if folder.has(RESULTS):
-            return self.found(folder, options)
+        if (record := found(folder, options)) is not None:
+            return record
+
+        def show(learner: Learner) -> None:
+            bar.set_postfix_str(f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}")
+
         learner = Learner(options, made(options))
         with folder.alone():
-            if folder.has(RESULTS):  # somebody else has just made it
-                return self.found(folder, options)
-            if not folder.has(OPTIONS):
-                folder.begin(options.task, options.to_json())
-            folder.restore(learner)
-            learner.start()
-            saved = time.monotonic()
-            while learner.done < learner.n_updates:
-                learner.update()
-                bar.set_postfix_str(
-                    f"{options.task}, {options.optimizer}: update {learner.done} of {learner.n_updates}"
-                )
-                if time.monotonic() - saved > SAVE_EVERY:
-                    folder.save_checkpoint(learner)
-                    saved = time.monotonic()
-            folder.write_results(results(options.task, options.to_json(), learner.history))
-            folder.drop_checkpoint()
-        return folder.results()
-
-    def found(self, folder: RunFolder, options: RunOptions) -> dict[str, Any]:
-        """Results that are there, if they are those of these options.
-
-        Raises:
-            FileError: they are damaged, or of others.
-        """
-        record = folder.results()
-        check_identity(folder.path / RESULTS, record, options)
-        return record
+            return learned(folder, learner, show)
 
     # ------------------------------------------------------------------ rows of others
 
@@ -277,18 +250,3 @@ class Compare:
         optimizer = record["options"]["optimizer"]
         gradient = optimizer in METHODS and METHODS[optimizer].gradient
         return Outcome(problem, f"{short(optimizer)}, added", record, gradient=gradient)
-
-
-_made: dict[str, tuple[tasks.Task, dict[str, Any]]] = {}
-
-
-def made(options: RunOptions) -> tasks.Task:
-    """The task of these options as if new, fitted once for all rows."""
-    key = json.dumps([options.task, {name: str(value) for name, value in options.task_options().items()}])
-    if key not in _made:
-        _made.clear()
-        task = options.make_task()
-        _made[key] = task, copy.deepcopy(task.state_dict())
-    task, state = _made[key]
-    task.load_state_dict(state)
-    return task

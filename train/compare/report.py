@@ -162,15 +162,30 @@ def choices(rows: Sequence[Outcome]) -> str:
     return markdown(head, lines)
 
 
+TUNED = (
+    "Every method's first step (width of noise, rate, or trust region) was tuned by one factor over the grid {factors}, by "
+    "the median final cost of {tuning_runs} runs on seeds of their own. Where nothing is random there is one run, and the "
+    "choice is made on the very run that is reported: that favours those rows. Nothing else was tuned for any row."
+)
+REPORTED = (
+    "cobyqa, lbfgs and adam report the best point tried (adam, where costs are noisy, the present one), cma and nes the mean, "
+    "sgd and finite_differences the present one."
+)
+
+
 def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, str]) -> str:
-    """The report."""
-    noise = options["noise_std"]
+    """The report; `options` it was made with, `noise_std`, `factors` and `tuning_runs` among them where there were any."""
+    noise = options.get("noise_std", 0.0)
     noisy = (
         f" The cost of each trial carries normal noise of {noise:g} times the initial cost; the costs below are those without "
         "noise. The gradients of adam, sgd and lbfgs come from the simulation and know nothing of it."
         if noise
         else ""
     )
+    tuned = ""
+    if "factors" in options:
+        factors = ", ".join(f"{factor:.2g}" for factor in options["factors"])
+        tuned = TUNED.format(factors=factors, tuning_runs=options["tuning_runs"]) + " "
     parts = [
         "# Comparison of optimizers",
         "Costs are those of the policy without noise, control cost included: medians and quartiles over the runs of a row, all "
@@ -182,16 +197,13 @@ def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, s
         "Forward-equivalents: a roll-out counts as one, a roll-out with its gradient as four, the Jacobian of the reference "
         "motion as two (once for searches in fixed coordinates, in every update for pibb and pi2). Seconds are those of all "
         "runs of a row in one batch on one core.",
-        "Every method's first step (width of noise, rate, or trust region) was tuned by one factor over the grid "
-        f"{', '.join(f'{factor:.2g}' for factor in options['factors'])}, by the median final cost of {options['tuning_runs']} "
-        "runs on seeds of their own. Where nothing is random there is one run, and the choice is made on the very run that "
-        "is reported: that favours those rows. Nothing else was tuned for any row. cobyqa, lbfgs and adam report the best "
-        "point tried (adam, where costs are noisy, the present one), cma and nes the mean, sgd and finite_differences the "
-        "present one.",
+        f"{tuned}{REPORTED}",
     ]
     for problem, members in by_problem(rows).items():
         parts += [f"## {problem}", table(members)]
-    parts += ["![Learning curves](curves.png)", "## Tuning", choices(rows)]
+    parts += ["![Learning curves](curves.png)"]
+    if tuned:
+        parts += ["## Tuning", choices(rows)]
     parts += ["## Made by", ", ".join(f"{name} {value}" for name, value in {**options, **versions}.items())]
     return "\n\n".join(parts) + "\n"
 

@@ -26,6 +26,8 @@ DECIDED = {
     "convention": "paper",
     "logdir": Path("logs"),
     "resume": None,
+    "folder": None,
+    "patience": 1800.0,
 }
 """Options that a robot decides by itself or has no use for."""
 

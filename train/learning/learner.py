@@ -13,7 +13,6 @@ import tasks
 from tasks.base import total
 from torchds import GMRPolicy, Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
-from torchds.optim import sharded
 from train.learning.history import History
 from train.options import RunOptions
 from train.searchers.base import Closure, by_chance, noisy
@@ -62,13 +61,13 @@ class Learner:
         self.path: Rollout | None = None
 
     def _closure(self) -> Closure:
-        """Trials of the policies as the searcher wants them, with noise in their costs, wrapped; shared out under torchrun."""
+        """Trials of the policies as the searcher wants them, with noise in their costs, wrapped."""
         closure = by_chance(self.searcher.closure(self.task, self.policy), self.task, self.noise)
         if self.options.cost_noise:
             with torch.no_grad():
                 std = self.options.cost_noise * float(total(self.task.evaluate(self.initial)[1].values()))
             closure = noisy(closure, std, self.searcher.costs_per_step, self.noise)
-        return sharded(closure if self.wrap is None else self.wrap(closure, self))
+        return closure if self.wrap is None else self.wrap(closure, self)
 
     def restart(self, policy: GMRPolicy) -> None:
         """Go on with other policies `(runs,)`, say with more Gaussians; noise, its width and its decay go on where they are.

@@ -70,8 +70,9 @@ def follow(processes: Several, options: RunOptions) -> Path:
     """Make the updates that the first process tells of, and write nothing."""
     try:
         if (said := processes.hear()) is not None:
-            learner = Learner(type(options).from_json(said["options"]))
+            learner = Learner(type(options).from_json(said["options"]), wrap=processes.share)
             learner.load_state_dict(said["state"])
+            processes.ready()
             while learner.done < learner.n_updates:
                 learner.update()
     except KeyboardInterrupt:
@@ -96,7 +97,7 @@ def lead(options: RunOptions, given: Collection[str] | None, processes: Processe
             f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {options.runs}"
         )
         options = replace(options, runs=1)
-    learner = Learner(options, task)
+    learner = Learner(options, task, wrap=processes.share)
     if options.folder is not None:
         folder = RunFolder(options.folder, "--folder")
     else:
@@ -113,7 +114,7 @@ def resume(options: RunOptions, given: Collection[str] | None, folder: RunFolder
         before = folder.options()
         options = merged(options, before, folder, given)
         check(options)
-        learner = Learner(options)
+        learner = Learner(options, wrap=processes.share)
         written = folder.restore(learner)
         if learner.n_updates < learner.done:
             raise InvalidArgumentError(

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.compare import command as compare
 from train.compare.command import Compare
 from train.folder import Interrupted
+from train.learning import kept
 from train.learning.learner import Learner
 from train.options import options_for
 
@@ -87,7 +89,7 @@ def test_runs_that_exist_are_not_made_again(finished, monkeypatch):
 
     monkeypatch.setattr(Learner, "update", update)
     again = Compare(**SMALL, logdir=finished.parents[1])
-    monkeypatch.setattr(compare.time, "strftime", lambda form: "again")
+    monkeypatch.setattr(time, "strftime", lambda form: "again")
     assert read(again.main() / "table.csv") == read(finished / "table.csv")
 
 
@@ -101,7 +103,7 @@ def test_an_interrupted_comparison_continues_and_ends_the_same(finished, tmp_pat
             raise KeyboardInterrupt
         return update(learner)
 
-    monkeypatch.setattr(compare, "SAVE_EVERY", -1.0)
+    monkeypatch.setattr(kept, "SAVE_EVERY", -1.0)
     monkeypatch.setattr(Learner, "update", interrupted)
     with pytest.raises(Interrupted, match="the same command continues"):
         Compare(**SMALL, logdir=tmp_path).main()

@@ -1,0 +1,1 @@
+"""Many runs by any number of workers that see one folder."""
