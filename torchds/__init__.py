@@ -52,6 +52,7 @@ else:
     from torchds import exploration as exploration
     from torchds import impedance as impedance
     from torchds import metrics as metrics
+    from torchds import monitor as monitor
     from torchds import optim as optim
     from torchds import passive as passive
     from torchds import plants as plants
@@ -108,6 +109,7 @@ __all__ = [
     "load_npz",
     "load_policy",
     "metrics",
+    "monitor",
     "most_wanted",
     "optim",
     "passive",

@@ -91,7 +91,7 @@ class run:
             "results": results(path),
             "policy": digest(files.load(path.with_name("policy.pt"), "policy")),
             "steps": seen,
-            "contiguous": seen["cost/total"] == list(range(5)) or seen,
+            "contiguous": seen["cost/total"] == [0, 4, 8, 12, 16] or seen,
         }
 
 

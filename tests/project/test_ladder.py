@@ -24,7 +24,7 @@ LIBRARY = [
     {"sensitivity", "exporting", "fits", "recruiting"},
     {"exploration"},
     {"optim", "plotting"},
-    {"sessions"},
+    {"sessions", "monitor"},
     {"testing"},
 ]
 TASKS = [

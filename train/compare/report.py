@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchds import plotting
+from torchds.monitor.events import Events
 from train.folder import make_folder, write_text
-from train.learning.events import Events
 from train.statistics import quartiles
 from train.tables import markdown, write_csv
 
@@ -279,7 +279,7 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
     for i, row in enumerate(kept):
         make_folder(folder / f"{i:03d}")
         with Events(folder / f"{i:03d}") as board:
-            hparams = {
+            hparams: dict[str, bool | float | str] = {
                 "problem": row.problem,
                 "optimizer": row.label,
                 "factor": row.factor or 0.0,
@@ -293,5 +293,6 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
                 "hparam/forward_equivalents": row.record["forward_equivalents"][-1],
                 "hparam/seconds": row.record["seconds"],
             }
-            board.hyper_parameters(hparams, metrics)
+            board.options(hparams)
+            board.scalars(metrics, row.record["rollouts"][-1])
     return text

@@ -16,11 +16,11 @@ import tasks
 from tasks import ENVIRONMENTS
 from tasks.base import total
 from torchds.errors import InvalidArgumentError
+from torchds.monitor import of_costs
+from torchds.monitor.events import Events
 from train.folder import Interrupted, RunFolder
-from train.learning.events import Events
 from train.learning.history import History, results, table
 from train.options import check_seed
-from train.statistics import median
 
 EVALUATIONS = 50  # at most, besides the first; a trial takes as long as a tenth of an update
 
@@ -113,13 +113,11 @@ class DeepRL:
             bar.close()
         history = History(seconds=time.perf_counter() - began)
         with Events(folder) as events:
+            events.charts()
             for update, runs in curves.items():
                 terms = {name: torch.stack([run[name] for run in runs]) for name in runs[0]}
                 history.add(update * n_rollouts, terms, failed=0, forward_equivalents=update * n_rollouts)
-                events.scalar("cost/total", median(history.cost[-1]), update)
-                for name, values in terms.items():
-                    events.scalar(f"cost/{name}", values.median(), update)
-                events.scalar("rollouts/total", history.rollouts[-1], update)
+                events.scalars(of_costs(terms) | {"rollouts/updates": update}, history.rollouts[-1])
         run.write_results(results(self.task, self.to_json(), history))
         print(table(history))
         print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; agents and results in {folder}")

@@ -13,12 +13,14 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from torchds import Rollout, plotting
 from torchds.errors import TorchdsError
 from torchds.files import write_atomically
-from train.learning.events import Events
+from torchds.monitor.events import Events
+from train.learning import figures
 from train.learning.learner import Learner
 from train.statistics import quartiles
 
 FRAMES = 38  # of a film
 PLAYED = 8.0  # frames a second
+TENTHS = 10  # of a run, with a picture each
 
 
 class Album:
@@ -26,18 +28,21 @@ class Album:
 
     def __init__(self, events: Events, learner: Learner) -> None:
         self.events, self.learner = events, learner
-        self.every = max(1, learner.n_updates // 10)
+        self.every = max(1, learner.n_updates // TENTHS)
         self._renders = True
 
     def add(self) -> None:
-        """Stiffness profile and last picture of the present policy, at each tenth of the run."""
-        path, update = self.learner.path, self.learner.done
-        if path is None or update % self.every:
+        """Motion, stiffness profile and last picture of the present policy, at each tenth of the run."""
+        path, learner = self.learner.path, self.learner
+        if path is None or learner.done % self.every:
             return
+        rollouts = learner.history.rollouts[-1]
+        if learner.n_updates >= TENTHS and path.x.shape[-1] == 2:
+            self.events.figure("trial/motion", figures.progress(learner, path), rollouts)
         if path.stiffness is not None:
-            self.events.figure("stiffness/profile", stiffness_profile(path), update)
+            self.events.figure("stiffness/profile", stiffness_profile(path), rollouts)
         if (picture := self._film(1)) is not None:
-            self.events.image("trial/end", picture[0], update)
+            self.events.image("trial/end", picture[0], rollouts)
 
     def finish(self, folder: Path) -> None:
         """A film of the present policy: in TensorBoard, and as `film.gif` in `folder` beside its last picture."""
@@ -47,7 +52,9 @@ class Album:
         write_atomically(folder / "film.gif", lambda stream: stream.write(moving))
         write_atomically(folder / "trial.png", lambda stream: PIL.Image.fromarray(film[-1]).save(stream, "PNG"))
         image = Summary.Image(height=film.shape[1], width=film.shape[2], colorspace=3, encoded_image_string=moving)
-        self.events.add(Summary(value=[Summary.Value(tag="trial/film", image=image)]), self.learner.done)
+        self.events.add(
+            Summary(value=[Summary.Value(tag="trial/film", image=image)]), self.learner.history.rollouts[-1]
+        )
 
     def _film(self, frames: int) -> np.ndarray | None:
         path = self.learner.path

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tasks import Task
-from torchds import GMRPolicy, plotting
+from torchds import GMRPolicy, Rollout, plotting
 from torchds.dmp import DMP
 from train.learning.history import History
 from train.learning.learner import Learner
@@ -30,6 +30,24 @@ def motion(learner: Learner) -> Figure:
     before, after = figure.subplots(1, 2)
     draw_imitated(before, learner.task, learner.initial)
     draw_learned(after, learner)
+    return figure
+
+
+@torch.no_grad()
+def progress(learner: Learner, path: Rollout) -> Figure:
+    """The motions of all runs as they are now, on what was imitated; small, and without the field, since there are many."""
+    task, history = learner.task, learner.history
+    figure = Figure(figsize=(5, 5.4))
+    axes = figure.subplots()
+    plotting.trajectories(axes, task.rollout(learner.initial).x, color=plotting.BEFORE, label="before learning", lw=1.4)
+    runs = learner.options.runs
+    label = "now" if runs == 1 else f"now, {runs} runs"
+    plotting.trajectories(axes, path.x, color=plotting.AFTER, label=label, lw=1.4, alpha=1.0 if runs == 1 else 0.4)
+    scene = task.scene()
+    if scene.walls is not None:
+        plotting.walls(axes, scene.walls)
+    plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
+    plotting.finish_map(axes, f"After {history.rollouts[-1]} roll-outs", scene.unit)
     return figure
 
 

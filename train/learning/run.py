@@ -13,16 +13,17 @@ from tqdm import tqdm
 from tasks.loading import short
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
+from torchds.monitor import of_costs
+from torchds.monitor.events import Events
 from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder
 from train.learning import figures
 from train.learning.album import Album
-from train.learning.events import Events
-from train.learning.history import results, table
+from train.learning.history import History, results, table
 from train.learning.learner import Learner
 from train.learning.processes import Processes, Several, joined, restarts
 from train.options import UNKEPT, RunOptions, check_seed
 from train.searchers.named import runs_vary
-from train.statistics import median, quartiles
+from train.statistics import median
 
 SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
 
@@ -184,10 +185,12 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0, processes: Proc
         album = Album(events, learner)
         if events.lost:
             print(f"note: {events.path} was cut or lost; it has the costs of all updates again", file=sys.stderr)
+            events.charts()
             for update in range(len(history.cost)):
-                log_costs(events, learner, update)
+                events.scalars(of_history(history, update), history.rollouts[update])
         if not history.cost:
             learner.start()
+            events.charts()
             log(events, learner, seconds=0.0)
             album.add()
         processes.tell({"options": options.to_json(), "state": learner.state_dict()})
@@ -225,36 +228,35 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     folder.save_policy(learner.policy, learner.task)
     for name, figure in figures.of_run(learner).items():
         plotting.save(folder.path / f"{name}.png", figure)
-        events.figure(name, figure, learner.n_updates)
+        events.figure(name, figure, history.rollouts[-1])
     album.finish(folder.path)
-    hparams = {k: v for k, v in options.to_json().items() if isinstance(v, (int, float, str)) and k != "logdir"}
-    events.hyper_parameters(hparams, {"hparam/final_cost_median": median(history.cost[-1])})
+    events.options(telling(options))
     events.flush()
     folder.write_results(results(options.task, options.to_json(), history))
 
 
+def telling(options: RunOptions) -> dict[str, bool | int | float | str]:
+    """What tells a run from others: what learns, the seed, and every option that is not as usual."""
+    usual, always = type(options)().to_json(), ("optimizer", "exploration", "seed")
+    usual["logdir"] = str(options.logdir)  # runs in different places are alike
+    values = {name: v for name, v in options.to_json().items() if name in always or v != usual[name]}
+    return {"task": options.name} | {name: v if isinstance(v, float) else str(v) for name, v in values.items()}
+
+
 def log(events: Events, learner: Learner, seconds: float) -> None:
     """Write the scalars of one update; medians over runs, with quartiles for the total."""
-    update = learner.done
-    log_costs(events, learner, update)
+    scalars = of_history(learner.history, learner.done) | learner.searcher.scalars()
     if learner.path is not None:
-        for tag, value in learner.task.diagnostics(learner.path).items():
-            events.scalar(tag, value.median(), update)
-    for tag, number in learner.searcher.scalars().items():
-        events.scalar(tag, number, update)
-    if update:
-        events.scalar("time/update_seconds", seconds, update)
+        scalars |= {tag: float(value.median()) for tag, value in learner.task.diagnostics(learner.path).items()}
+    if learner.done:
+        scalars["time/update_seconds"] = seconds
+    events.scalars(scalars, learner.history.rollouts[-1])
 
 
-def log_costs(events: Events, learner: Learner, update: int) -> None:
-    """Write what the history says of an update."""
-    history = learner.history
-    for name, value in zip(
-        ("cost/total_q1", "cost/total", "cost/total_q3"), quartiles(history.cost[update]), strict=True
-    ):
-        events.scalar(name, value, update)
-    for name, values in history.terms.items():
-        events.scalar(f"cost/{name}", median(values[update]), update)
-    events.scalar("rollouts/total", history.rollouts[update], update)
-    events.scalar("rollouts/failed", history.failed[update], update)
-    events.scalar("rollouts/forward_equivalents", history.forward_equivalents[update], update)
+def of_history(history: History, update: int) -> dict[str, float]:
+    """What the history says of an update."""
+    return of_costs({name: values[update] for name, values in history.terms.items()}) | {
+        "rollouts/updates": update,
+        "rollouts/failed": history.failed[update],
+        "rollouts/forward_equivalents": history.forward_equivalents[update],
+    }

@@ -15,6 +15,7 @@ from tasks.loading import is_spec
 from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Exploration
+from torchds.monitor import of_search
 from torchds.optim import (
     PI2,
     PI2CMA,
@@ -70,8 +71,8 @@ class SampledSearch(Searcher):
         return updates * (self.n_rollouts + self.jacobian * JACOBIAN_COST)
 
     def scalars(self) -> dict[str, float]:
-        """What the optimizer says about itself."""
-        return self.optim.scalars()
+        """What the optimizer says about itself, and the costs that it saw."""
+        return of_search(self.optim)
 
     def state_dict(self) -> dict[str, Any]:
         """Those of the optimizer and of the decay."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.metadata import parse_session_start_info_plugin_data
 
 from torchds.errors import InvalidArgumentError
 from train.learning.run import run
@@ -43,10 +44,31 @@ def test_tensorboard_has_scalars_figures_and_hparams(finished):
     events = EventAccumulator(str(finished), size_guidance={"images": 0, "scalars": 0}).Reload()
     scalars = set(events.Tags()["scalars"])
     assert scalars >= {"cost/total", "cost/via_points", "cost/control", "exploration/lr", "weights/entropy"}
-    assert scalars >= {"rollouts/failed", "time/update_seconds", "hparam/final_cost_median"}
+    assert scalars >= {"rollouts/failed", "time/update_seconds", "cost/tried_q1", "rollouts/updates"}
     assert len(events.Scalars("cost/total")) == 5
     assert set(events.Tags()["images"]) == {"motion", "learning_curves"}
-    assert "_hparams_/session_start_info" in events.summary_metadata
+    start = parse_session_start_info_plugin_data(
+        events.SummaryMetadata("_hparams_/session_start_info").plugin_data.content
+    )
+    assert {name: value.string_value for name, value in start.hparams.items()} == {
+        "task": "via_point",
+        "optimizer": "pibb",
+        "exploration": "homogeneous",
+        "seed": "0",
+        "runs": "2",
+        "updates": "4",
+        "rollouts": "5",
+    }
+    assert "custom_scalars__config__" in events.summary_metadata
+
+
+@pytest.mark.slow
+def test_a_run_of_ten_updates_shows_its_motion_at_each_tenth_over_rollouts(tmp_path):
+    folder = run(options_for("via_point", runs=2, updates=20, rollouts=3, logdir=tmp_path))
+    events = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0}).Reload()
+    assert [picture.step for picture in events.Images("trial/motion")] == list(range(0, 61, 6))
+    assert [scalar.step for scalar in events.Scalars("cost/total")] == list(range(0, 61, 3))
+    assert [scalar.value for scalar in events.Scalars("rollouts/updates")] == list(range(21))
 
 
 @pytest.mark.slow
