@@ -34,6 +34,7 @@ from train.lasa.command import BenchmarkLasa
 from train.learning.run import run
 from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
+from train.paper.experiment import Digging
 from train.paper.figures.command import Figures
 from train.view import View
 
@@ -50,6 +51,7 @@ def main() -> int:
         "arm": Arm,
         "claims": Claims,
         "deep_rl": DeepRL,
+        "digging": Digging,
         "figures": Figures,
         "hardware": hardware([]),
         "latency": Latency,

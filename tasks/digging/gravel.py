@@ -6,8 +6,9 @@ several times. The solver's settings were measured, and are at the edge: less th
 gradients in their place, let the bed explode. Grains are numbered by their place along x, since the factorisation of the
 Hessian does not reorder them: by rows in place of columns the same bed takes six times as long.
 
-What it is not: MuJoCo's soft friction creeps, at 0.4 to 0.6 mm/s in a level bed, so that a slope of 30° flattens to 15 to
-18° within seconds.
+A bed that nothing touches is put to sleep by MuJoCo, and costs a fifteenth, until the blade wakes all of it. Awake it creeps,
+since MuJoCo's contacts are soft, at 0.4 to 0.6 mm/s. What it is not: round grains roll, so that its slopes are half as steep
+as those of gravel (`tasks.digging.checks`).
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from dataclasses import astuple, dataclass
-from math import ceil, pi
+from dataclasses import astuple, dataclass, replace
+from math import pi
 from pathlib import Path
 
 import mujoco
@@ -26,11 +27,12 @@ import torch
 from torchds import files
 from torchds.errors import FileError, InvalidArgumentError, TorchdsError
 
-FORMAT = 1
+FORMAT = 2
 """Version of the beds in the cache; raise it with any change of the model of the bed."""
 
 SOLREF, SOLIMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 WALL_HEIGHT, WALL_THICKNESS = 0.20, 0.02  # m
+AT_REST = 0.05  # m/s
 GRAIN, RIGID = (1, 3), (2, 3)
 """(contype, conaffinity): grains touch everything, shovel and box the grains and each other."""
 
@@ -50,31 +52,36 @@ class Gravel:
         width: of the discs, that of the blade [m].
         density: of the grains' material [kg/m³].
         friction: between all bodies.
-        seed: of the radii and first places.
+        seed: of the radii.
+        packings: beds that are settled from different first places; a trial meets one of them.
         time_step: of settling and of roll-outs [s].
-        seconds: that the grains have to settle [s].
+        seconds: that the grains settle, and once more as long where one still rolls [s].
+        sleep: speed [m/s] below which a bed that nothing touches is not computed until something does; 0 for never.
     """
 
-    n_grains: int = 330
+    n_grains: int = 285
     radius: tuple[float, float] = (0.0045, 0.0075)
-    box: tuple[float, float] = (0.50, 1.00)
+    box: tuple[float, float] = (0.56, 0.95)
     width: float = 0.10
     density: float = 2200.0
     friction: float = 0.8
     seed: int = 0
+    packings: int = 24
     time_step: float = 0.004
     seconds: float = 3.0
+    sleep: float = 0.02
 
     def __post_init__(self) -> None:
         low, high = self.radius
-        if self.n_grains < 1 or not 0 < low <= high or not self.box[1] - self.box[0] > 4 * high:
+        if min(self.n_grains, self.packings) < 1 or not 0 < low <= high or not self.box[1] - self.box[0] > 4 * high:
             raise InvalidArgumentError(
-                f"a bed has to have grains, radii 0 < low ≤ high and a box wider than two of them, got {self.n_grains} grains, "
-                f"radius={self.radius}, box={self.box}"
+                f"a bed has to have grains, radii 0 < low ≤ high, a box wider than two of them and a packing, got "
+                f"{self.n_grains} grains, radius={self.radius}, box={self.box}, packings={self.packings}"
             )
-        if not min(self.width, self.density, self.time_step, self.seconds) > 0 or not self.friction >= 0:
+        positive = (self.width, self.density, self.time_step, self.seconds)
+        if not min(positive) > 0 or not min(self.friction, self.sleep) >= 0:
             raise InvalidArgumentError(
-                f"width, density, time_step and seconds have to be positive, friction not negative, got {self}"
+                f"width, density, time_step and seconds have to be positive, friction and sleep not negative, got {self}"
             )
 
     def radii(self) -> np.ndarray:
@@ -85,13 +92,15 @@ class Gravel:
         """Masses of the grains, `(G,)` [kg]."""
         return self.density * pi * self.radii() ** 2 * self.width
 
-    def key(self) -> str:
-        """What the cache calls this bed: settings, model and MuJoCo's version."""
-        text = repr((FORMAT, mujoco.__version__, astuple(self), SOLREF, SOLIMP, WALL_HEIGHT))
+    def key(self, packing: int) -> str:
+        """What the cache calls a bed: settings, model and MuJoCo's version; how many packings there are does not matter."""
+        text = repr(
+            (FORMAT, mujoco.__version__, astuple(replace(self, packings=1)), packing, SOLREF, SOLIMP, WALL_HEIGHT)
+        )
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-COARSE = Gravel(n_grains=100, radius=(0.009, 0.014))
+COARSE = Gravel(n_grains=86, radius=(0.009, 0.014))
 """A bed as deep, of grains twice as large: for tests."""
 
 
@@ -103,6 +112,9 @@ def options(spec: mujoco.MjSpec, gravel: Gravel) -> None:
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     spec.option.iterations, spec.option.ls_iterations = 20, 50
+    if gravel.sleep > 0:
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        spec.option.sleep_tolerance = gravel.sleep
 
 
 def touch(geom: mujoco.MjsGeom, kind: tuple[int, int], gravel: Gravel) -> None:
@@ -145,7 +157,15 @@ def lost(places: np.ndarray, gravel: Gravel) -> np.ndarray:
     return np.asarray(~kept.all(-1))
 
 
-def bed(gravel: Gravel) -> np.ndarray:
+def beds(gravel: Gravel, seeds: list[int], std: float = 1e-4) -> np.ndarray:
+    """`(N, G, 3)`: for each seed one of the packings, each grain moved by `std` [m]; a bed depends on its seed alone."""
+    made = np.stack([bed(gravel, seed % gravel.packings) for seed in seeds])
+    for places, seed in zip(made, seeds, strict=True):
+        places[:, :2] += np.random.default_rng(seed).normal(0.0, std, (gravel.n_grains, 2))
+    return made
+
+
+def bed(gravel: Gravel, packing: int = 0) -> np.ndarray:
     """Places `(G, 3)` of the settled grains: x, z [m] and turn [rad]; computed once, then from the cache.
 
     What the cache holds is verified, and computed anew where it is damaged.
@@ -153,47 +173,45 @@ def bed(gravel: Gravel) -> np.ndarray:
     Raises:
         SettlingError: the settings give no bed at rest.
     """
-    path, key = cache_folder() / f"gravel-{gravel.key()}.pt", gravel.key()
+    key = gravel.key(packing)
+    path = cache_folder() / f"gravel-{key}.pt"
     with contextlib.suppress(FileError):  # not there, damaged, or another bed under its name
         kept = files.load(path, "bed of gravel")
         if kept.get("key") == key:
             return kept["places"].numpy()
-    places = settle(gravel)
+    places = settle(gravel, packing)
     with contextlib.suppress(FileError, OSError):  # where nothing can be written, it is not kept
         path.parent.mkdir(parents=True, exist_ok=True)
         files.save(path, "bed of gravel", {"key": key, "places": torch.from_numpy(places)})
     return places
 
 
-def settle(gravel: Gravel) -> np.ndarray:
+def settle(gravel: Gravel, packing: int = 0) -> np.ndarray:
     """Drop the grains into the box and wait: places `(G, 3)`.
 
     Raises:
         SettlingError: see `bed`.
     """
     spec = mujoco.MjSpec()
-    options(spec, gravel)
+    options(spec, replace(gravel, sleep=0.0))
     add(spec, gravel)
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qpos[:] = _dropped(gravel).ravel()
-    mujoco.mj_step(model, data, round(gravel.seconds / gravel.time_step))
+    data.qpos[:] = _dropped(gravel, packing).ravel()
+    steps = round(gravel.seconds / gravel.time_step)
+    mujoco.mj_step(model, data, steps)
+    waited = 0
+    while (speed := np.abs(data.qvel.reshape(-1, 3)[:, :2]).max()) > AT_REST and waited < steps:
+        mujoco.mj_step(model, data, max(1, steps // 20))  # a grain may roll on for a while
+        waited += max(1, steps // 20)
     places = data.qpos.reshape(-1, 3).copy()
     if lost(places, gravel) or data.warning.number.any():
         raise SettlingError(
             f"the bed exploded or left the box; fewer grains or a smaller time step may settle: {gravel}"
         )
-    if (speed := np.abs(data.qvel.reshape(-1, 3)[:, :2]).max()) > 0.05:
+    if speed > AT_REST:
         raise SettlingError(f"a grain still moves at {speed:.3f} m/s; raise seconds={gravel.seconds}")
     return places
-
-
-def perturbed(places: np.ndarray, seeds: list[int], std: float = 1e-4) -> np.ndarray:
-    """`(N, G, 3)`: for each seed the bed `places` `(G, 3)`, each grain moved by `std` [m]; a bed depends on its seed alone."""
-    moved = np.repeat(places[None], len(seeds), 0)
-    for bed_, seed in zip(moved, seeds, strict=True):
-        bed_[:, :2] += np.random.default_rng(seed).normal(0.0, std, (len(places), 2))
-    return moved
 
 
 def cache_folder() -> Path:
@@ -201,15 +219,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchds"
 
 
-def _dropped(gravel: Gravel) -> np.ndarray:
-    """First places `(G, 3)`, column by column from one wall to the other, not touching."""
+def _dropped(gravel: Gravel, packing: int) -> np.ndarray:
+    """First places `(G, 3)`, column by column from one wall to the other, not touching, in each column in any order."""
+    generator = np.random.default_rng((gravel.seed, packing + 1))
     cell = 2.1 * gravel.radius[1]
     low, high = gravel.box
     n_columns = int((high - low) // cell)
-    n_rows = ceil(gravel.n_grains / n_columns)
     column = np.arange(gravel.n_grains) * n_columns // gravel.n_grains  # as many in each, but for one
-    row = np.arange(gravel.n_grains) - np.searchsorted(column, column)
-    jitter = np.random.default_rng(gravel.seed + 1).uniform(-0.04, 0.04, (gravel.n_grains, 2)) * gravel.radius[1]
+    turn = np.lexsort((generator.uniform(size=gravel.n_grains), column))
+    row = np.empty(gravel.n_grains)
+    row[turn] = np.arange(gravel.n_grains) - np.searchsorted(column, column)
+    jitter = generator.uniform(-0.04, 0.04, (gravel.n_grains, 2)) * gravel.radius[1]
     x = low + (column + 0.5) * (high - low) / n_columns + jitter[:, 0]
-    z = (np.minimum(row, n_rows) + 0.6) * cell + jitter[:, 1]
+    z = (row + 0.6) * cell + jitter[:, 1]
     return np.stack([x, z, np.zeros_like(x)], -1)

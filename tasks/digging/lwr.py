@@ -76,7 +76,7 @@ GRIPPER_LENGTH, GRIPPER_RADIUS, GRIPPER_MASS = 0.10, 0.045, 1.2  # m, m, kg
 SHOVEL_MASS = 0.6  # kg
 TOOL_REACH = 0.26  # m from the flange to the tool point, the centre of the blade, along the flange's z
 TOOL_ANGLE = radians(50)  # rad between the flange's z and the blade
-BLADE_LENGTH, BLADE_WIDTH, BLADE_THICKNESS, WALL_HEIGHT, WALL_THICKNESS = 0.12, 0.10, 0.006, 0.020, 0.004  # m
+BLADE_LENGTH, BLADE_WIDTH, BLADE_THICKNESS, WALL_HEIGHT, WALL_THICKNESS = 0.09, 0.10, 0.006, 0.020, 0.004  # m
 
 SHOULDER_HEIGHT = LINKS[0].offset + LINKS[1].offset  # m
 UPPER_ARM = LINKS[2].offset + LINKS[3].offset  # m

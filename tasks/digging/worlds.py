@@ -58,8 +58,7 @@ class Worlds:
         self.n = n
         self.seconds = {"control": 0.0, "physics": 0.0}
         self.model = build(gravel).compile()
-        self.settled = beds.bed(gravel)
-        self.batch = Batch(self.model, n, n_threads, persistent=False)
+        self.batch = Batch(self.model, n, n_threads, persistent=True)  # sleep needs it
         batch, J = self.batch, lwr.N_JOINTS
         self._qpos, self._qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self._mass, self._bias, self._sensors = batch.bind("M"), batch.bind("qfrc_bias"), batch.bind("sensordata")
@@ -76,7 +75,7 @@ class Worlds:
     # ------------------------------------------------------------------ time
 
     def reset(self, q: Tensor, seeds: list[int]) -> None:
-        """Put all arms at `q` `(N, J)` or `(J,)` [rad], at rest, over beds whose grains are moved by 0.1 mm by `seeds`.
+        """Put all arms at `q` `(N, J)` or `(J,)` [rad], at rest, over the beds of `seeds`.
 
         Raises:
             InvalidArgumentError: not one seed a roll-out.
@@ -87,7 +86,7 @@ class Worlds:
         self.batch.warning[:] = 0
         self._broken[:] = False
         self._qpos[:, : lwr.N_JOINTS] = q.numpy()
-        self._qpos[:, lwr.N_JOINTS :] = beds.perturbed(self.settled, seeds).reshape(self.n, -1)
+        self._qpos[:, lwr.N_JOINTS :] = beds.beds(self.gravel, seeds).reshape(self.n, -1)
         self.batch.forward()
 
     def step(self, torque: Tensor) -> None:

@@ -171,9 +171,9 @@ class digging:
     def command(folder):
         kind, learner_module.RunOptions.make_task = tasks.digging.task.LwrDigging, make_task
         kind.execute = cheap_trial
-        experiment_module.STARTS, experiment_module.UNIFORM, experiment_module.TRIALS = (150.0,), (75.0,), 2
+        experiment_module.STARTS, experiment_module.UNIFORM, experiment_module.TRIALS = (150.0,), (100.0,), 2
         options = options_for("lwr_digging", grains="coarse", seconds=1.0, updates=2, rollouts=3, threads=1)
-        return train_main.ended(experiment_module.Experiment(folder / "e", 0, options).trials)
+        return train_main.ended(experiment_module.Experiment(folder / "e", 0, options, runs=2).go_on)
 
     @staticmethod
     def outcome(folder):

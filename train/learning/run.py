@@ -149,7 +149,7 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
     contradicting = [
         f"--{name.replace('_', '-')} {getattr(options, name)} (it was {getattr(before, name)})"
         for name in differing
-        if name not in ("updates", "device")
+        if name not in ("updates", "device", "threads")
     ]
     if contradicting:
         raise InvalidArgumentError(

@@ -1,6 +1,7 @@
 """The bed: grains in order, settled once, and settings that make none."""
 
 import importlib.util
+from dataclasses import replace
 
 import pytest
 
@@ -26,20 +27,22 @@ def test_grains_are_numbered_by_their_place():
 def test_a_bed_is_settled_once(monkeypatch):
     bed = gravel.bed(COARSE)
 
-    def settle(settings):
+    def settle(settings, packing):
         raise AssertionError("settled again")
 
     monkeypatch.setattr(gravel, "settle", settle)
     np.testing.assert_array_equal(gravel.bed(COARSE), bed)
     with pytest.raises(AssertionError, match="settled again"):
-        gravel.bed(gravel.Gravel(n_grains=100, radius=(0.009, 0.014), seed=1))
-    assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name] == [".pt"]
+        gravel.bed(replace(COARSE, seed=1))
+    with pytest.raises(AssertionError, match="settled again"):
+        gravel.bed(COARSE, 1)
+    assert [path.suffix for path in gravel.cache_folder().iterdir() if COARSE.key(0) in path.name] == [".pt"]
 
 
 @pytest.mark.slow
 def test_a_broken_or_forbidden_cache_costs_only_time(tmp_path, monkeypatch):
     bed = gravel.bed(COARSE)
-    (file,) = (path for path in gravel.cache_folder().iterdir() if COARSE.key() in path.name)
+    (file,) = (path for path in gravel.cache_folder().iterdir() if COARSE.key(0) in path.name)
     whole = file.read_bytes()
     moved = bytearray(whole)
     moved[whole.index(bed[3, 0].tobytes()) + 6] ^= 1  # one grain
@@ -57,8 +60,10 @@ def test_settings_without_a_bed_are_refused():
         gravel.Gravel(radius=(0.02, 0.01))
     with pytest.raises(InvalidArgumentError, match="have to be positive"):
         gravel.Gravel(density=0.0)
+    with pytest.raises(InvalidArgumentError, match="friction and sleep not negative"):
+        gravel.Gravel(sleep=-1.0)
     with pytest.raises(gravel.SettlingError, match="still moves"):
-        gravel.settle(gravel.Gravel(n_grains=20, seconds=0.02))
+        gravel.settle(gravel.Gravel(n_grains=100, seconds=0.02))
 
 
 @pytest.mark.parametrize("package", ["mujoco", "pytorch_kinematics"])

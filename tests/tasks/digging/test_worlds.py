@@ -49,7 +49,8 @@ def test_a_bed_stays_at_rest_after_the_perturbation(worlds, start):
     held(worlds, start, 250)
     assert (worlds.kinetic_energy < 2e-4).all()
     assert not worlds.failed.any() and not worlds.batch.warning.any()
-    moved = worlds.grains[..., :2] - torch.from_numpy(worlds.settled[:, :2])
+    settled = np.stack([gravel.bed(COARSE, packing) for packing in (3, 4)])
+    moved = worlds.grains[..., :2] - torch.from_numpy(settled[..., :2])
     assert float(moved.norm(dim=-1).mean()) < 0.005
 
 
@@ -83,12 +84,27 @@ def test_of_the_arm_only_the_shovel_touches_anything(worlds):
 
 
 def test_beds_differ_by_their_seed_alone(worlds, start):
-    worlds.reset(start, [7, 8])
+    seeds = [7, 7 + COARSE.packings]  # of one packing
+    worlds.reset(start, seeds)
     first = worlds.grains
-    worlds.reset(start, [8, 7])
+    worlds.reset(start, seeds[::-1])
     assert torch.equal(first, worlds.grains.flip(0))
     difference = (first[0] - first[1])[:, :2]
     assert 1e-4 < float(difference.std()) < 2e-4
+    worlds.reset(start, [7, 8])
+    assert torch.equal(first[0], worlds.grains[0])
+    assert float((worlds.grains[0] - worlds.grains[1])[:, :2].std()) > 2e-3  # of another
+
+
+@pytest.mark.slow
+def test_a_bed_that_nothing_touches_sleeps_until_the_blade_comes(worlds, start):
+    worlds.reset(start, [0, 1])
+    held(worlds, start, 500)
+    awake = worlds.batch.bind("tree_asleep") < 0
+    assert awake[:, 0].all() and not awake[:, 1:].any()  # the arm never sleeps
+    below = lwr.posture(*torch.tensor([0.70, 0.07, -0.6], dtype=torch.float64))
+    held(worlds, below, 250)
+    assert (worlds.batch.bind("tree_asleep") < 0).sum() > COARSE.n_grains
 
 
 @pytest.mark.slow

@@ -55,13 +55,11 @@ class Claims:
     """Learning runs behind a statistic, in one batch."""
     seed: int = 0
     """Seed of the exploration noise."""
-    digging: bool = False
-    """Run the digging experiment as far as it is not there (half an hour); without this its rows take what stands in
-    LOGDIR/lwr_digging/experiment-SEED/."""
     keep: Path | None = None
     """Write the page to this file, too."""
     logdir: Path = Path("logs")
-    """Where to write: LOGDIR/claims/."""
+    """Where to write: LOGDIR/claims/. The rows about digging take what `python -m train digging` has left beside it, in
+    LOGDIR/lwr_digging/experiment-SEED/."""
 
     def main(self) -> list[report.Judged]:
         """Measure what is missing, write claims.md and claims.csv, print the table, and return its rows.
@@ -78,8 +76,6 @@ class Claims:
             raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
         check_seed(self.seed)
         experiment = Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed)
-        if self.digging:
-            experiment.trials()
         setting = Setting(self.runs, self.seed, experiment)
         folder = self.logdir / "claims"
         make_folder(folder)
@@ -118,5 +114,5 @@ class Claims:
     def command(self, *names: str) -> str:
         """What measures claims again, all of them without names."""
         only = f" --only {' '.join(names)}" if names else ""
-        digging = " --digging True" if names and not any(CLAIMS[name].simulated for name in names) else ""
-        return f"python -m train claims{only} --runs {self.runs} --seed {self.seed}{digging}"
+        first = "python -m train digging; " if names and not any(CLAIMS[name].simulated for name in names) else ""
+        return f"{first}python -m train claims{only} --runs {self.runs} --seed {self.seed}"

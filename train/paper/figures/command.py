@@ -49,8 +49,8 @@ class Figures:
     """Make figures of the paper again, with a caption file of measured statistics beside each."""
 
     figure: tuple[int, ...] = tuple(FIGURES)
-    """Numbers of the figures to make, as in the paper; 15, 16 and 17 run the digging experiment, which takes half an hour
-    and stands in LOGDIR/lwr_digging/experiment-SEED/."""
+    """Numbers of the figures to make, as in the paper; 15, 16 and 17 show what `python -m train digging` has left in
+    LOGDIR/lwr_digging/experiment-SEED/."""
     runs: int = 20
     """Learning runs behind a statistic."""
     seed: int = 0
@@ -81,5 +81,5 @@ class Figures:
             write_text(folder / f"figure-{number}.md", text)
 
     def digging(self, number: int) -> Made:
-        """A figure of the digging experiment, which is run as far as it is not there."""
+        """A figure of the digging experiment that is there."""
         return DIGGING[number](Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed))

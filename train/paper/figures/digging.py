@@ -1,4 +1,4 @@
-"""Figures 15 to 17: the digging experiment (section 6)."""
+"""Figures 15 to 17: the digging experiment (section 6), as far as `python -m train digging` has made it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,21 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from torchds import plotting
+from torchds.errors import InvalidArgumentError
 from train.learning.figures import draw_curves
 from train.paper.figures.base import Made
-from train.paper.measured.digging import SEARCHES, STARTS, TRIALS, UNIFORM, Experiment, best_uniform
-from train.statistics import below
+from train.paper.measured.digging import (
+    SEARCHES,
+    STARTS,
+    TRIALS,
+    UNIFORM,
+    Experiment,
+    best_uniform,
+    history,
+    means,
+    trials,
+)
+from train.statistics import below, median, summary
 
 COLORS = dict(zip(SEARCHES, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
 MARKERS = dict(zip(SEARCHES, ("x", "P"), strict=True))
@@ -17,6 +28,7 @@ MARKERS = dict(zip(SEARCHES, ("x", "P"), strict=True))
 
 def figure_15(experiment: Experiment) -> Made:
     """The scene, at three times of a learned motion."""
+    _needed(experiment, history(experiment, "recommended", STARTS[0]) is not None)
     learner = experiment.learned("recommended", STARTS[0])
     learner.evaluate()
     assert learner.path is not None
@@ -43,53 +55,64 @@ def figure_16(experiment: Experiment) -> Made:
     lines = []
     for row, search in zip(figure.subplots(2, 2), SEARCHES, strict=True):
         for axes, start in zip(row, STARTS, strict=True):
-            history = experiment.learned(search, start).history
-            draw_curves(axes, history)
-            axes.set_title(f"Digging from s⁰ = {start:g} N/m, learner {search}")
-            first, last = ({name: v[i][0] for name, v in history.terms.items()} for i in (0, -1))
+            curves = history(experiment, search, start)
+            _needed(experiment, curves is not None)
+            assert curves is not None
+            draw_curves(axes, curves)
+            n = len(curves.cost[0])
+            axes.set_title(f"Digging from s⁰ = {start:g} N/m, learner {search}, {n} run(s)")
+            first, last = ({name: median(v[i]) for name, v in curves.terms.items()} for i in (0, -1))
             terms = ", ".join(f"{name} {first[name]:.2f} → {last[name]:.2f}" for name in first if name != "control")
-            lines.append(f"- {search}, {start:g} N/m: {history.cost[0][0]:.2f} → {history.cost[-1][0]:.2f} ({terms}).")
+            lines.append(
+                f"- {search}, {start:g} N/m, {n} run(s): {median(curves.cost[0]):.2f} → "
+                f"{median(curves.cost[-1]):.2f} ({terms})."
+            )
     return Made(
         figure,
-        "Cost of the policy without noise after each update of eight roll-outs, one trial each, by terms; trials of one policy "
-        "differ by some tenths, since one grain weighs 0.3 N. The gravel's term is 3.5 N less the load.\n\n"
-        + "\n".join(lines),
+        "Cost of the policy without noise after each update of eight roll-outs, by terms: medians and quartiles over learning "
+        "runs, one trial of each; trials of one policy differ by some tenths, since beds do. The gravel's term is 3.5 N less "
+        "the load.\n\n" + "\n".join(lines),
     )
 
 
 def figure_17(experiment: Experiment) -> Made:
     """Total cost of uniform stiffness, and of what was learned."""
-    trials = experiment.trials()
+    recorded = experiment.recorded()
+    uniform = [trials(recorded, f"uniform-{s:g}") for s in UNIFORM]
+    _needed(experiment, all(uniform))
     figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots()
-    costs = np.array([trials[f"uniform-{s:g}"]["total"] for s in UNIFORM])
-    mean, std = costs.mean(1), costs.std(1, ddof=1)
-    axes.plot(UNIFORM, mean, "o-", color="#1f5fa8", label=f"uniform stiffness, mean of {TRIALS} trials")
+    mean = np.array([sample["total"].mean() for sample in uniform])
+    std = np.array([sample["total"].std(ddof=1) for sample in uniform])
+    n = len(uniform[0]["total"])
+    axes.plot(UNIFORM, mean, "o-", color="#1f5fa8", label=f"uniform stiffness, mean of {n} trials")
     axes.fill_between(UNIFORM, mean - std, mean + std, color="#1f5fa8", alpha=0.2, lw=0, label="one standard deviation")
-    best = best_uniform(trials)
-    lowest = trials[best]["total"]
+    best = best_uniform(recorded)
+    lowest = means(recorded, best)["total"]
     lines = [
-        f"- best uniform stiffness, {best.removeprefix('uniform-')} N/m: {np.mean(lowest):.2f} ± {np.std(lowest, ddof=1):.2f}"
+        f"- uniform {s:g} N/m: {sample['total'].mean():.2f} ± {sample['total'].std(ddof=1):.2f}; load "
+        f"{sample['gravel/load'].mean():.1f} N, peak force {sample['force/peak'].mean():.0f} N"
+        for s, sample in zip(UNIFORM, uniform, strict=True)
     ]
-    for search in SEARCHES:
-        for i, start in enumerate(STARTS):
-            values = trials[f"{search}-{start:g}"]["total"]
-            axes.errorbar(
-                start,
-                np.mean(values),
-                np.std(values, ddof=1),
-                fmt=MARKERS[search],
-                ms=11,
-                mew=2.5,
-                capsize=4,
-                color=COLORS[search],
-                label=f"learned, {search}" if i == 0 else "_nolegend_",
-            )
-            lines.append(
-                f"- learned from {start:g} N/m, {search}: {np.mean(values):.2f} ± {np.std(values, ddof=1):.2f}, "
-                f"{'below' if np.mean(values) < mean.min() else 'not below'} every uniform stiffness in the mean; against the "
-                f"best of them Mann-Whitney p = {below(values, lowest):.1e}"
-            )
+    for i, (search, start) in enumerate((search, start) for search in SEARCHES for start in STARTS):
+        values = means(recorded, f"{search}-{start:g}").get("total", np.array([]))
+        if not len(values):
+            continue
+        axes.errorbar(
+            start,
+            values.mean(),
+            values.std(ddof=1) if len(values) > 1 else None,
+            fmt=MARKERS[search],
+            ms=11,
+            mew=2.5,
+            capsize=4,
+            color=COLORS[search],
+            label=f"learned, {search}: mean and deviation of runs" if i % len(STARTS) == 0 else "_nolegend_",
+        )
+        lines.append(
+            f"- learned from {start:g} N/m, {search}: {len(values)} run(s), {summary(values)}, against {summary(lowest)} of "
+            f"the best uniform stiffness ({best.removeprefix('uniform-')} N/m), Mann-Whitney p = {below(values, lowest):.1e}"
+        )
     axes.set(
         xlabel="(initial) uniform stiffness s⁰ [N/m]",
         ylabel="total cost of a trial",
@@ -99,7 +122,22 @@ def figure_17(experiment: Experiment) -> Made:
     axes.legend(fontsize=9)
     return Made(
         figure,
-        f"Total cost of policies learned from the same demonstrations with uniform stiffness, over {TRIALS} trials on beds "
-        f"that no learning has met, and after 80 roll-outs of learning, at the stiffness that each started from (mean ± "
-        "standard deviation; p is one-sided):\n\n" + "\n".join(lines) + ".",
+        "Total cost of policies learned from the same demonstrations with uniform stiffness, and after 80 roll-outs of "
+        f"learning, at the stiffness that each started from. Every policy is tried {TRIALS} times on beds that no learning has "
+        "met; a learned one counts with its mean, as median [quartiles] over runs, and p is one-sided:\n\n"
+        + "\n".join(lines)
+        + ".",
     )
+
+
+def _needed(experiment: Experiment, there: bool) -> None:
+    """Say what makes the experiment.
+
+    Raises:
+        InvalidArgumentError: it is not there.
+    """
+    if not there:
+        raise InvalidArgumentError(
+            f"figures 15 to 17 show the digging experiment, and too little of it stands in {experiment.folder}; "
+            "`python -m train digging` makes it, as far as it is not there"
+        )

@@ -1,11 +1,13 @@
-"""The whole digging experiment (section 6): learning from two stiffnesses, and the uniform ones to compare with.
+"""The whole digging experiment (section 6): learning runs from two stiffnesses, and the uniform ones to compare with.
 
-Everything stands in one folder; what is there is not measured again, so that the experiment can be interrupted.
+Everything stands in one folder; what is there is not measured again, so that the experiment can be stopped at any moment and
+spread over many sittings. The first run of everything comes first, then the second: whatever is there is balanced.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +19,21 @@ import tasks
 from torchds import GMRPolicy
 from torchds.files import read_sealed, write_sealed
 from train.folder import OPTIONS, RESULTS, RunFolder, check_identity, numbers, say_versions, versions
+from train.learning.history import History
 from train.learning.learner import Learner
-from train.learning.run import run
+from train.learning.run import run as learn
 from train.options import LEARNERS, RunOptions, options_for
 
 STARTS = (150.0, 400.0)  # N/m
 PAPER = "as in the paper"  # the learner that the claims are about
 SEARCHES: dict[str, dict[str, Any]] = {PAPER: LEARNERS["pibb"], "recommended": LEARNERS["recommended"]}
-UNIFORM = (75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
-TRIALS = 5
+UNIFORM = (100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0)  # N/m
+RUNS = 6  # learning runs of each learner from each start, and groups of trials of each uniform stiffness
+TRIALS = 5  # of each policy, in a group on beds of its own
 TRIALS_FILE = "trials.json"
-TRIALS_SEED = 1000  # of the beds of the comparison, which no learning run has met
+TRIALS_SEED = 1000  # of the beds of the first group, which no learning run has met
 Terms = dict[str, list[float]]
+Sample = dict[str, np.ndarray]
 
 
 class Experiment:
@@ -36,20 +41,23 @@ class Experiment:
 
     Args:
         folder: where everything stands.
-        seed: of the learning runs.
+        seed: of the first learning run; each further run has the next one.
         options: of the scene and of learning; initial stiffness, learner and seed are those of the experiment.
+        runs: how many there shall be of each learner from each start.
     """
 
-    def __init__(self, folder: Path, seed: int, options: RunOptions | None = None) -> None:
-        self.folder, self.seed = folder, seed
+    def __init__(self, folder: Path, seed: int, options: RunOptions | None = None, runs: int = RUNS) -> None:
+        self.folder, self.seed, self.runs = folder, seed, runs
         self.options = options if options is not None else options_for("lwr_digging")
 
-    def run_folder(self, search: str, start: float) -> RunFolder:
+    # ------------------------------------------------------------------ what is there
+
+    def run_folder(self, search: str, start: float, run: int = 0) -> RunFolder:
         """Where one learning run stands, or would stand."""
-        return RunFolder(self.folder / f"{SEARCHES[search]['optimizer']}-{start:g}")
+        return RunFolder(self.folder / f"{SEARCHES[search]['optimizer']}-{start:g}-{run}")
 
     def recorded(self) -> dict[str, Terms]:
-        """The trials that are there.
+        """The trials that are there: costs and diagnostics `[TRIALS]` by term, "total" among them, of each name.
 
         Raises:
             FileError: they are damaged, or were measured with other options.
@@ -63,72 +71,88 @@ class Experiment:
             say_versions(path, content["versions"])
         return numbers(content["trials"])
 
-    def finish(self, search: str, start: float) -> RunFolder:
-        """Make, continue or find finished one learning run; returns its folder."""
-        folder = self.run_folder(search, start)
-        options = replace(self.options, **{**SEARCHES[search], "initial_stiffness": start, "seed": self.seed})
+    def missing(self) -> list[str]:
+        """The names of the trials that are not there, in the order in which they are made."""
+        recorded = self.recorded()
+        return [name for run in range(self.runs) for name in self._round(run) if name not in recorded]
+
+    def learned(self, search: str, start: float, run: int = 0) -> Learner:
+        """One learning run, finished: made, continued or found."""
+        folder = self.run_folder(search, start, run)
+        options = replace(self.options, **{**SEARCHES[search], "initial_stiffness": start, "seed": self.seed + run})
         if not folder.has(OPTIONS):
             folder.begin(options.task, options.to_json())
         if not folder.has(RESULTS):
-            run(replace(options, resume=folder.path))
+            learn(replace(options, resume=folder.path))
         else:
             check_identity(folder.path / RESULTS, folder.results(), options)
-        return folder
-
-    def learned(self, search: str, start: float) -> Learner:
-        """One learning run, finished."""
-        folder = self.finish(search, start)
         finished = Learner(folder.options())
         folder.restore(finished)
         return finished
 
-    def trials(self) -> dict[str, Terms]:
-        """Costs of TRIALS trials `[TRIALS]` by term, "total" among them, of every uniform stiffness and learned policy."""
+    # ------------------------------------------------------------------ what is made
+
+    def go_on(self) -> None:
+        """Make all learning runs and trials that are missing.
+
+        Each finished trial is written at once, each learning run leaves a checkpoint after each update: a sitting may end
+        anywhere, and the next one goes on.
+        """
         with RunFolder(self.folder).alone():
-            return self._trials()
+            for name in tqdm(self.missing(), desc="digging", unit="policy", dynamic_ncols=True):
+                search, start, run = name.rsplit("-", 2)
+                policy = self.learned(search, float(start), int(run)).policy[0] if search in SEARCHES else None
+                recorded = {**self.recorded(), name: self.measure(float(start), policy, int(run))}
+                said = {"task": self.options.task, "options": self.options.to_json(), "versions": versions()}
+                write_sealed(self.folder / TRIALS_FILE, {**said, "trials": recorded})
 
-    def _trials(self) -> dict[str, Terms]:
-        measured = self.recorded()
-        runs = {f"{search}-{start:g}": (search, start) for search in SEARCHES for start in STARTS}
-        wanted = [f"uniform-{s:g}" for s in UNIFORM] + list(runs)
-        for name in tqdm([name for name in wanted if name not in measured], desc="trials", unit="policy"):
-            if name in runs:
-                search, start = runs[name]
-                measured[name] = self.measure(start, self.learned(search, start).policy[0])
-            else:
-                measured[name] = self.measure(float(name.removeprefix("uniform-")), None)
-            said = {"task": self.options.task, "options": self.options.to_json(), "versions": versions()}
-            write_sealed(self.folder / TRIALS_FILE, {**said, "trials": measured})
-        return measured
-
-    def measure(self, start: float, policy: GMRPolicy | None) -> Terms:
-        """TRIALS trials of a policy, or of the imitated one with the uniform stiffness `start`, on the same beds for all."""
-        task = tasks.make(
-            "lwr_digging", **{**self.options.task_options(), "initial_stiffness": start, "seed": TRIALS_SEED}
-        )
+    def measure(self, start: float, policy: GMRPolicy | None, run: int) -> Terms:
+        """TRIALS trials of a policy, or of the imitated one with the uniform stiffness `start`, on the beds of a group."""
+        options = {**self.options.task_options(), "initial_stiffness": start, "seed": TRIALS_SEED + run}
+        task = tasks.make("lwr_digging", **options)
         path, terms = task.evaluate((task.policy() if policy is None else policy).expand(TRIALS))
         shown = {**terms, "total": torch.stack(list(terms.values())).sum(0), **task.diagnostics(path)}
         return {name: values.tolist() for name, values in shown.items()}
 
-
-def best_uniform(trials: dict[str, Terms]) -> str:
-    """The name of the uniform stiffness with the lowest mean cost."""
-    return min((name for name in trials if name.startswith("uniform")), key=lambda name: np.mean(trials[name]["total"]))
-
-
-def uniform_trials(experiment: Experiment, stiffness: float) -> Terms | None:
-    """Trials of the imitated motion with a uniform stiffness [N/m]; None where they are not there."""
-    return experiment.recorded().get(f"uniform-{stiffness:g}")
+    def _round(self, run: int) -> list[str]:
+        """The names of one group of trials of everything."""
+        learned = [f"{search}-{start:g}-{run}" for start, search in product(STARTS, SEARCHES)]
+        return [f"uniform-{s:g}-{run}" for s in UNIFORM] + learned
 
 
-def learned_trials(experiment: Experiment, start: float) -> Terms | None:
-    """Trials of what the paper's learner made of a uniform stiffness [N/m]; None where they are not there."""
-    return experiment.recorded().get(f"{PAPER}-{start:g}")
+# ---------------------------------------------------------------------- samples
 
 
-def curves(experiment: Experiment, start: float) -> dict[str, np.ndarray] | None:
-    """The noise-free cost terms `(U+1,)` of the paper's learner from a uniform stiffness; None where they are not there."""
-    folder = experiment.run_folder(PAPER, start)
-    if not folder.has(RESULTS):
+def trials(recorded: dict[str, Terms], kind: str) -> Sample:
+    """All trials of a kind `(n,)` by term, "uniform-150" say or "recommended-400"; empty where there are none."""
+    groups = [terms for name, terms in recorded.items() if name.rpartition("-")[0] == kind]
+    return {term: np.concatenate([group[term] for group in groups]) for term in (groups[0] if groups else {})}
+
+
+def means(recorded: dict[str, Terms], kind: str) -> Sample:
+    """The mean of each group of trials of a kind `(runs,)` by term: one number for each learning run."""
+    groups = [terms for name, terms in recorded.items() if name.rpartition("-")[0] == kind]
+    return {term: np.array([np.mean(group[term]) for group in groups]) for term in (groups[0] if groups else {})}
+
+
+def best_uniform(recorded: dict[str, Terms]) -> str:
+    """The uniform stiffness with the lowest mean cost, as "uniform-300"."""
+    kinds = {name.rpartition("-")[0] for name in recorded if name.startswith("uniform")}
+    return min(sorted(kinds), key=lambda kind: trials(recorded, kind)["total"].mean())
+
+
+def history(experiment: Experiment, search: str, start: float) -> History | None:
+    """The learning curves of all finished runs of a learner from a stiffness, as of one batch; None where there are none."""
+    folders = [experiment.run_folder(search, start, run) for run in range(experiment.runs)]
+    found = [folder.results() for folder in folders if folder.has(RESULTS)]
+    if not found:
         return None
-    return {name: np.asarray(values, dtype=float)[:, 0] for name, values in folder.results()["terms"].items()}
+
+    def together(columns: list[list[list[float]]]) -> list[list[float]]:
+        return [[value for row in rows for value in row] for rows in zip(*columns, strict=True)]
+
+    return History(
+        rollouts=found[0]["rollouts"],
+        cost=together([each["cost"] for each in found]),
+        terms={name: together([each["terms"][name] for each in found]) for name in found[0]["terms"]},
+    )

@@ -39,7 +39,7 @@ def test_every_figure_that_says_something_has_a_claim():
 def test_without_an_experiment_the_rows_say_how_to_get_it(tmp_path, capsys):
     rows = Claims(only=tuple(claim.id for claim in digging.CLAIMS), logdir=tmp_path).main()
     assert {verdict(row.checks) for row in rows} == {NOT_MEASURED}
-    command = "python -m train claims --only digging-best-uniform --runs 20 --seed 0 --digging True"
+    command = "python -m train digging; python -m train claims --only digging-best-uniform --runs 20 --seed 0"
     for text in (capsys.readouterr().out, (tmp_path / "claims" / "claims.md").read_text()):
         assert "not measured here" in text and command in text
     assert {row["verdict"] for row in read(tmp_path / "claims" / "claims.csv")} == {NOT_MEASURED}

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from train.paper.claims import digging
-from train.paper.claims.base import HELD, NOT_HELD, verdict
+from train.paper.claims.base import HELD, NOT_HELD, NOT_MEASURED, verdict
 from train.paper.claims.command import CLAIMS
 from train.paper.measured.base import Setting
 
@@ -33,6 +33,18 @@ def test_the_digging_claims_hold_for_an_experiment_that_agrees(dug):
 def test_a_digging_claim_fails_with_its_figure(dug, name, term, value, fails):
     path = dug.folder / "trials.json"
     content = json.loads(path.read_text())
-    content["trials"][name][term] = [value + 0.001 * i for i in range(5)]
+    for run in range(5):
+        content["trials"][f"{name}-{run}"][term] = [value + 0.001 * i for i in range(5)]
     path.write_text(json.dumps(content))
     assert verdict(CLAIMS[fails].measure(Setting(20, 0, dug))) == NOT_HELD
+
+
+def test_fewer_runs_than_a_test_needs_are_not_judged(dug):
+    path = dug.folder / "trials.json"
+    content = json.loads(path.read_text())
+    content["trials"] = {name: terms for name, terms in content["trials"].items() if not name.endswith("-4")}
+    path.write_text(json.dumps(content))
+    verdicts = {claim.id: verdict(claim.measure(Setting(20, 0, dug))) for claim in digging.CLAIMS}
+    uniform = {"digging-soft-load", "digging-soft-force", "digging-best-uniform"}
+    curves = {"digging-stiff-gravel"}
+    assert {name for name, found in verdicts.items() if found == NOT_MEASURED} == set(verdicts) - uniform - curves
