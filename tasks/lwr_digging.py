@@ -38,7 +38,7 @@ class DiggingOptions(Task):
     initial_stiffness: float = 150.0
     """Uniform stiffness before learning, s⁰ [N/m]."""
     grains: Literal["fine", "coarse"] = "fine"
-    """The bed: 330 grains of 4.5 to 7.5 mm, or 100 of 9 to 14 mm for tests."""
+    """The bed: 285 grains of 4.5 to 7.5 mm radius, or 86 of 9 to 14 mm for tests."""
     seconds: float = SECONDS
     """Duration of the motion; the task's own demonstrations are stretched with it."""
     threads: int = 2

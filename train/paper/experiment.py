@@ -9,7 +9,7 @@ from typing import Literal
 from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted
 from train.options import check_seed, options_for
-from train.paper.measured.digging import RUNS, SEARCHES, STARTS, TRIALS, UNIFORM, Experiment
+from train.paper.measured.digging import RUNS, Experiment
 
 
 @dataclass
@@ -53,10 +53,8 @@ class Digging:
         options = options_for("lwr_digging", **{name: getattr(self, name) for name in names})
         folder = self.logdir / "lwr_digging" / f"experiment-{self.seed}"
         experiment = Experiment(folder, self.seed, options, self.runs)
-        cells = len(SEARCHES) * len(STARTS)
         print(
-            f"{self.runs} runs in each of {cells} cells, and as many groups of {TRIALS} trials of {len(UNIFORM)} uniform "
-            f"stiffnesses, in {folder}: {len(experiment.missing())} of {self.runs * (cells + len(UNIFORM))} are to be made"
+            f"digging in {folder}: {len(experiment.missing())} of {len(experiment.names())} policies are to be made and tried"
         )
         try:
             experiment.go_on()

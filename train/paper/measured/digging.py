@@ -71,10 +71,14 @@ class Experiment:
             say_versions(path, content["versions"])
         return numbers(content["trials"])
 
+    def names(self) -> list[str]:
+        """The groups of trials that there shall be, as they are made: a round of everything, then the next."""
+        return [name for run in range(self.runs) for name in self._round(run)]
+
     def missing(self) -> list[str]:
-        """The names of the trials that are not there, in the order in which they are made."""
+        """Those that are not there."""
         recorded = self.recorded()
-        return [name for run in range(self.runs) for name in self._round(run) if name not in recorded]
+        return [name for name in self.names() if name not in recorded]
 
     def learned(self, search: str, start: float, run: int = 0) -> Learner:
         """One learning run, finished: made, continued or found."""
