@@ -20,6 +20,7 @@ from tasks.loading import is_spec
 from torchds.errors import TorchdsError
 from torchds.files import reason
 from train.benchmark.command import Benchmark
+from train.benchmark.scale.command import Scale
 from train.beyond.command import Beyond
 from train.beyond.primitives.command import Primitives
 from train.compare.command import Compare
@@ -59,6 +60,7 @@ def main() -> int:
         "view": View,
         "compare": Compare,
         "sweep": Sweep,
+        "scale": Scale,
         "beyond": Beyond,
         "primitives": Primitives,
         "benchmark": Benchmark,

@@ -1,0 +1,140 @@
+"""Many simulated workers, against what is known of order statistics, and trials that are late or old."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.motions import Short
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.benchmark.scale import simulated
+from train.benchmark.scale.command import Scale
+from train.benchmark.scale.measured import CASES, learn
+from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
+from train.learning.learner import Learner
+from train.options import RunOptions, options_for
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def waits(times, workers, share, patience=1e9, updates=400):
+    return update_seconds(times, workers, share, patience, updates, rng())
+
+
+def test_roll_outs_that_all_take_as_long_are_waited_for_as_long():
+    assert waits(Times(3.0, 0.0, 0.0), 50, 1.0) == pytest.approx(np.full(400, 3.0))
+
+
+def test_half_of_many_workers_have_come_at_the_median():
+    times = Times(2.0, 0.5, 0.0)
+    assert waits(times, 2001, 0.5).mean() == pytest.approx(2.0 * np.exp(-0.125), rel=0.01)
+    assert waits(times, 1, 1.0, updates=10_000).mean() == pytest.approx(2.0, rel=0.02)
+    by_share = [waits(times, 100, share).mean() for share in (0.5, 0.9, 1.0)]
+    assert by_share == sorted(by_share)
+
+
+def test_failures_cost_patience_where_all_are_waited_for():
+    times, n = Times(1.0, 0.0, 0.01), 100
+    late = waits(times, n, 1.0, patience=60.0, updates=4000) == 60.0
+    assert late.mean() == pytest.approx(1 - 0.99**n, abs=0.03)
+    assert (waits(times, n, 0.9, patience=60.0) == 1.0).all()
+
+
+def test_measured_times_give_their_mean_and_spread():
+    times = Times.of(rng().lognormal(1.0, 0.3, 20_000), 0.2)
+    assert times.mean == pytest.approx(np.exp(1.045), rel=0.01) and times.spread == pytest.approx(0.3, rel=0.02)
+    drawn = times.draw((100_000,), rng())
+    assert np.isinf(drawn).mean() == pytest.approx(0.2, abs=0.01)
+    assert drawn[np.isfinite(drawn)].mean() == pytest.approx(times.mean, rel=0.01)
+
+
+def test_a_ring_passes_everything_on():
+    assert gather_seconds(1, 1e6, 1.0, 1.0) == 0.0
+    assert gather_seconds(5, 1e6, 1e-4, 1e9) == pytest.approx(4 * (1e-4 + 1e-3))
+
+
+@pytest.fixture(scope="module")
+def task():
+    return Short()
+
+
+OPTIONS = {"runs": 2, "updates": 4, "rollouts": 6}
+
+
+def costs(task, wrap=None):
+    return Learner(options_for("via_point", **OPTIONS), task, wrap=wrap).learn().history.cost
+
+
+@pytest.mark.slow
+def test_all_in_time_and_no_age_change_nothing(task):
+    plain = costs(task)
+    assert costs(task, lossy(1.0, 0)) == plain
+    assert costs(task, stale(0)) == plain
+    assert costs(task, stale(1))[:2] == plain[:2] and costs(task, stale(1))[2:] != plain[2:]
+
+
+def test_of_the_trials_a_share_comes_in_time():
+    closure = lossy(0.5, 0)(lambda: torch.zeros(6, 1000, dtype=torch.float64), None)
+    came = closure().isfinite()
+    assert (came.sum(0) == 3).all()
+    assert came.double().mean(1).sub(0.5).abs().max() < 0.06  # none more often than others
+
+
+@pytest.mark.slow
+def test_old_trials_are_around_old_parameters(task):
+    tried, centers = [], []
+
+    def wrap(closure, learner):
+        def watched():
+            noise = learner.searcher.optim.state[learner.policy.A]["noise"]
+            tried.append(learner.policy.A.data - noise)
+            return closure()
+
+        def first():
+            centers.append(learner.policy.A.data - learner.searcher.optim.state[learner.policy.A]["noise"])
+            return old()
+
+        old = stale(2)(watched, learner)
+        return first
+
+    costs(task, wrap)
+    for update, center in enumerate(tried):
+        torch.testing.assert_close(center, centers[max(update - 2, 0)], rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_simulation_leaves_tables_and_a_figure(task, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(simulated, "made", lambda options: task)
+    scale = Scale("simulate", workers=(2, 50), runs=2, updates=2, rollout=(1.0, 0.2), logdir=tmp_path)
+    folder = scale.main()
+    said = capsys.readouterr().out
+    assert "| 50 | an hour |" in said and "Final cost on N, by updates old" in said
+    assert (folder / "simulated.png").stat().st_size > 10_000
+    assert (folder / "simulate.md").read_text() in said
+    monkeypatch.setattr(simulated, "rollout_seconds", lambda options, trials: [2.0] * trials)
+    assert Scale("simulate").times() == pytest.approx(Times(2.0, 0.0, 0.0))
+
+
+@pytest.mark.slow
+def test_trials_are_timed_one_by_one(monkeypatch, task):
+    monkeypatch.setattr(RunOptions, "make_task", lambda options: task)
+    tried, rollout = [], Short.rollout
+    monkeypatch.setattr(Short, "rollout", lambda task, policy: tried.append(policy.pack()) or rollout(task, policy))
+    assert min(simulated.rollout_seconds(options_for("via_point", rollouts=3), 5)) > 0
+    assert all(theta.shape[0] == 1 for theta in tried) and len({float(theta.detach().sum()) for theta in tried}) == 6
+
+
+def test_wrong_numbers_and_names_are_refused(tmp_path):
+    for wrong in ({"processes": (0,)}, {"workers": (0, 1)}, {"patience": 0.0}, {"runs": 0}):
+        with pytest.raises(InvalidArgumentError, match="have to be at least 1 and --patience positive"):
+            Scale("measure", **wrong, logdir=tmp_path).main()
+    with pytest.raises(UnknownNameError, match="unknown case 'nothing'"):
+        Scale("measure", only="nothing", logdir=tmp_path).main()
+
+
+@pytest.mark.slow
+def test_one_process_sends_nothing(monkeypatch):
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    timing = learn(CASES["N, 10 roll-outs"], 1)
+    assert timing.update > 0 and timing[1:] == (0.0, 0.0, 0, 0)

@@ -1,0 +1,1 @@
+"""What roll-outs over many processes cost: measured with few, simulated with many."""

@@ -1,0 +1,201 @@
+"""How roll-outs scale over processes: `python -m train scale measure` and `python -m train scale simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from torchds import files, plotting
+from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.benchmark.scale import simulated
+from train.benchmark.scale.measured import CASES, Timing, timed
+from train.benchmark.scale.simulated import Times, lossy, stale, update_seconds
+from train.folder import new_folder, versions, write_text
+from train.options import LEARNERS, options_for
+from train.statistics import median, quartiles, summary
+from train.tables import markdown
+
+SHARES = (1.0, 0.99, 0.95, 0.9, 0.8, 0.5)
+STALENESS = (0, 1, 2, 4, 8)
+BETWEEN = {"an hour": 3600.0, "a day": 86400.0, "a month": 30 * 86400.0}
+"""Mean time between two failures of one worker [s]."""
+HEAD = (
+    "",
+    "processes",
+    "update [ms]",
+    "of one process",
+    "gather and wait [ms]",
+    "gather alone [ms]",
+    "messages",
+    "bytes of a process",
+)
+
+
+@dataclass
+class Scale:
+    """Measure runs by a few processes, or simulate an update by many."""
+
+    action: Annotated[Literal["measure", "simulate"], tyro.conf.Positional]
+    """measure: time runs by processes of this machine. simulate: many workers, from what was measured."""
+    processes: tuple[int, ...] = (1, 2, 4)
+    """measure: how many at once."""
+    only: str = ""
+    """measure: only cases with this text in their name."""
+    repeats: int = 3
+    """measure: how often; all numbers of processes take turns."""
+    workers: tuple[int, ...] = (10, 1000, 100_000)
+    """simulate: how many at once."""
+    runs: int = 20
+    """simulate: learning runs behind each median."""
+    updates: int = 50
+    """simulate: of these runs."""
+    patience: float = 600.0
+    """simulate: after which a silent worker counts as failed [s]."""
+    restart: float = 10.0
+    """simulate: what a restart of all processes takes [s]."""
+    rollout: tuple[float, float] | None = None
+    """simulate: mean time of a roll-out [s] and standard deviation of its logarithm; if not given, digging is timed here."""
+    logdir: Path = field(default_factory=lambda: Path("logs"))
+    """Where to write: LOGDIR/scale/."""
+
+    def main(self) -> Path:
+        """Measure or simulate; returns the folder with the tables.
+
+        Raises:
+            InvalidArgumentError: numbers out of range.
+            UnknownNameError: no case with this name.
+        """
+        if min((*self.processes, *self.workers, self.repeats, self.runs, self.updates)) < 1 or self.patience <= 0:
+            raise InvalidArgumentError(
+                "--processes, --workers, --repeats, --runs and --updates have to be at least 1 and --patience positive, got "
+                f"{self.processes}, {self.workers}, {self.repeats}, {self.runs}, {self.updates} and {self.patience}"
+            )
+        text, figure = self.measure() if self.action == "measure" else self.simulate()
+        folder = new_folder(self.logdir / "scale")
+        write_text(folder / f"{self.action}.md", text)
+        if figure is not None:
+            plotting.save(folder / "simulated.png", figure)
+        files.write_json(folder / "versions.json", versions())
+        print(text)
+        print(f"all of it in {folder}")
+        return folder
+
+    # ------------------------------------------------------------------ measure
+
+    def measure(self) -> tuple[str, None]:
+        """The table of all cases and numbers of processes."""
+        names = [name for name in CASES if self.only in name]
+        if not names:
+            raise UnknownNameError("case", self.only, CASES)
+        found: dict[tuple[str, int], list[Timing]] = {}
+        for name, _, n in tqdm(list(product(names, range(self.repeats), self.processes))):
+            found.setdefault((name, n), []).append(timed(name, n))
+        return markdown(HEAD, [self.line(name, n, found) for name in names for n in self.processes]) + "\n", None
+
+    def line(self, name: str, n: int, found: dict[tuple[str, int], list[Timing]]) -> list[str]:
+        """A line of the table: medians over the repeats, ratios of what was measured one after the other."""
+        mine = found[name, n]
+        cells = [name, str(n), summary([1e3 * timing.update for timing in mine]), ""]
+        if n == 1:
+            return [*cells, "", "", "", ""]
+        if (name, 1) in found:
+            cells[3] = summary([a.update / b.update for a, b in zip(mine, found[name, 1], strict=True)])
+        waits = [f"{1e3 * median([getattr(timing, what) for timing in mine]):.3g}" for what in ("together", "gather")]
+        return [*cells, *waits, str(mine[0].messages), str(mine[0].bytes)]
+
+    # ------------------------------------------------------------------ simulate
+
+    def simulate(self) -> tuple[str, Figure]:
+        """Tables and figure of many workers."""
+        rng = np.random.default_rng(0)
+        times = self.times()
+        waits = {
+            (between, workers): [
+                float(np.mean(update_seconds(failing, workers, share, self.patience, self.drawn(workers), rng)))
+                for share in SHARES
+            ]
+            for between, failing in self.failing(times).items()
+            for workers in self.workers
+        }
+        learned = self.learned()
+        lines = [
+            [
+                f"{workers:,}",
+                between,
+                *(f"{seconds:.3g}" for seconds in row),
+                self.restarted(workers, between, times),
+            ]
+            for (between, workers), row in waits.items()
+        ]
+        head = ("workers", "one fails once in", *(f"{share:g}" for share in SHARES), "with restarts")
+        said = f"A roll-out takes {times.mean:.3g} s; the logarithm of its time has a standard deviation of {times.spread:.3g}."
+        parts = [said, f"Seconds until a share of the roll-outs has come:\n\n{markdown(head, lines)}"]
+        for what, row in learned.items():
+            head = ("learner", *(f"{value:g}" for value in row[0]))
+            parts.append(
+                f"{what}:\n\n{markdown(head, [[name, *map(summary, costs)] for name, costs in row[1].items()])}"
+            )
+        return "\n\n".join(parts) + "\n", draw(waits, learned)
+
+    def drawn(self, workers: int) -> int:
+        """How many updates are drawn: fewer of many workers, whose sum varies less."""
+        return max(50, min(2000, 10_000_000 // workers))
+
+    def times(self) -> Times:
+        """Those of the digging, tried here, one after the other; or those that were given."""
+        if self.rollout is not None:
+            return Times(*self.rollout, 0.0)
+        return Times.of(np.asarray(simulated.rollout_seconds(options_for("lwr_digging", grains="coarse"), 30)), 0.0)
+
+    def failing(self, times: Times) -> dict[str, Times]:
+        """The same with workers that fail."""
+        return {name: times._replace(failure=1 - np.exp(-times.mean / seconds)) for name, seconds in BETWEEN.items()}
+
+    def restarted(self, workers: int, between: str, times: Times) -> str:
+        """Mean time until an update was made in one go, where each failure of a worker restarts all of them."""
+        whole = float(np.mean(update_seconds(times, workers, 1.0, np.inf, 200, np.random.default_rng(1))))
+        rate = workers / BETWEEN[between]  # of failures, of which none may come for the time `whole`
+        return f"{(1 / rate + self.restart) * np.expm1(rate * whole):.3g}"
+
+    def learned(self) -> dict[str, tuple[tuple[float, ...], dict[str, list[np.ndarray]]]]:
+        """Final costs on N of both learners, by the share that comes in time and by the age of the parameters."""
+        found: dict[str, tuple[tuple[float, ...], dict[str, list[np.ndarray]]]] = {}
+        for what, values in (("min_share", SHARES), ("updates old", STALENESS)):
+            rows: dict[str, list[np.ndarray]] = {}
+            for (name, learner), n in tqdm(list(product(LEARNERS.items(), (10, 100)))):
+                if name != "pibb" and n > 10:
+                    continue
+                options = options_for("via_point", runs=self.runs, updates=self.updates, rollouts=n, **learner)
+                wraps = [lossy(value, 0) if what == "min_share" else stale(int(value)) for value in values]
+                rows[f"{name}, {n} roll-outs"] = [simulated.final_costs(options, wrap) for wrap in wraps]
+            found[f"Final cost on N, by {what}"] = tuple(map(float, values)), rows
+        return found
+
+
+def draw(waits: dict[tuple[str, int], list[float]], learned: dict[str, Any]) -> Figure:
+    """How long an update waits, and what is learned from what has come."""
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    axes = figure.subplots(1, 3)
+    styles = dict(zip(BETWEEN, ("-", "--", ":"), strict=True))
+    workers = sorted({n for _, n in waits})
+    for (between, n), row in waits.items():
+        name = f"{n:,} workers, one fails once in {between}"
+        axes[0].plot(SHARES, row, styles[between], color=plotting.TERMS[workers.index(n)], marker=".", label=name)
+    axes[0].set(xlabel="share of the roll-outs that is waited for", ylabel="an update waits [s]", yscale="log")
+    for panel, (what, (values, rows)) in zip(axes[1:], learned.items(), strict=True):
+        for i, (name, costs) in enumerate(rows.items()):
+            low, middle, high = quartiles(np.stack(costs), axis=1)
+            panel.plot(values, middle, color=plotting.TERMS[i], marker=".", label=name)
+            panel.fill_between(values, low, high, color=plotting.TERMS[i], alpha=0.15, lw=0)
+        panel.set(xlabel=what.partition("by ")[2], ylabel="final cost on N", yscale="log")
+    for panel in axes:
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize=7)
+    return figure
