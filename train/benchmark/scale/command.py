@@ -30,7 +30,9 @@ HEAD = (
     "",
     "processes",
     "update [ms]",
-    "of one process",
+    "over one process",
+    "processor time [ms]",
+    "over one process",
     "gather and wait [ms]",
     "gather alone [ms]",
     "messages",
@@ -101,12 +103,14 @@ class Scale:
 
     def line(self, name: str, n: int, found: dict[tuple[str, int], list[Timing]]) -> list[str]:
         """A line of the table: medians over the repeats, ratios of what was measured one after the other."""
-        mine = found[name, n]
-        cells = [name, str(n), summary([1e3 * timing.update for timing in mine]), ""]
+        mine, one = found[name, n], found.get((name, 1), [])
+        cells = [name, str(n)]
+        for what in ("update", "busy"):
+            values = [getattr(timing, what) for timing in mine]
+            ratios = [value / getattr(timing, what) for value, timing in zip(values, one, strict=False)]
+            cells += [summary([1e3 * value for value in values]), summary(ratios) if ratios and n > 1 else ""]
         if n == 1:
             return [*cells, "", "", "", ""]
-        if (name, 1) in found:
-            cells[3] = summary([a.update / b.update for a, b in zip(mine, found[name, 1], strict=True)])
         waits = [f"{1e3 * median([getattr(timing, what) for timing in mine]):.3g}" for what in ("together", "gather")]
         return [*cells, *waits, str(mine[0].messages), str(mine[0].bytes)]
 

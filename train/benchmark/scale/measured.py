@@ -53,6 +53,7 @@ class Timing(NamedTuple):
 
     Attributes:
         update: seconds of an update, with the noise-free trial that is logged.
+        busy: of these, processor time of the process that has most, which others on the machine do not change.
         together: of these, seconds from when the first process has its costs until it has those of all.
         gather: seconds of the same gather where nobody is waited for.
         messages: collective calls of an update.
@@ -60,6 +61,7 @@ class Timing(NamedTuple):
     """
 
     update: float
+    busy: float
     together: float
     gather: float
     messages: int
@@ -92,10 +94,12 @@ def learn(case: Case, updates: int) -> Timing:
         learner.start()
         learner.update()  # compiles
         vars(dist)["all_gather_object"] = watched
+        began = time.process_time()
         seconds = [learner.update() for _ in range(updates)]
+        busy = (time.process_time() - began) / updates
         vars(dist)["all_gather_object"] = gather
         if processes.size == 1:
-            return Timing(median(seconds), 0.0, 0.0, 0, 0)
+            return Timing(median(seconds), busy, 0.0, 0.0, 0, 0)
         together, said = median([seconds for seconds, _ in spent]), spent[-1][1]
         alone = []
         for _ in range(GATHERS):
@@ -103,8 +107,12 @@ def learn(case: Case, updates: int) -> Timing:
             began = time.perf_counter()
             gather([None] * processes.size, said)
             alone.append(time.perf_counter() - began)
+        everyone: list[float] = [0.0] * processes.size
+        gather(everyone, busy)
         # A gather of objects is two calls: how long they are, and what they are.
-        return Timing(median(seconds), together, median(alone), 2 * len(spent) // updates, len(pickle.dumps(said)))
+        return Timing(
+            median(seconds), max(everyone), together, median(alone), 2 * len(spent) // updates, len(pickle.dumps(said))
+        )
 
 
 def main() -> None:

@@ -125,7 +125,7 @@ def moved(parameters: Iterable[nn.Parameter], by: Iterable[Tensor]) -> None:
 
 
 def rollout_seconds(options: RunOptions, trials: int) -> list[float]:
-    """How long trials of noisy policies take, one after the other [s]."""
+    """How long trials of noisy policies take on a core of their own, which others may use meanwhile: processor time [s]."""
     learner, seconds = Learner(options), list[float]()
     optim = learner.searcher.optim
     assert optim is not None
@@ -137,7 +137,7 @@ def rollout_seconds(options: RunOptions, trials: int) -> list[float]:
             with torch.no_grad():
                 for p, epsilon in zip(policy.parameters(), noise.values(), strict=True):
                     p.add_(epsilon[n])
-            began = time.perf_counter()
+            began = time.process_time()
             learner.task.rollout(policy)
-            seconds.append(time.perf_counter() - began)
+            seconds.append(time.process_time() - began)
     return seconds[:trials]

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from tests.forked import forked
 from tests.motions import Short
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.benchmark.scale import simulated
 from train.benchmark.scale.command import Scale
-from train.benchmark.scale.measured import CASES, learn
+from train.benchmark.scale.measured import CASES, Timing, learn
 from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
 from train.learning.learner import Learner
 from train.options import RunOptions, options_for
@@ -137,4 +138,27 @@ def test_wrong_numbers_and_names_are_refused(tmp_path):
 def test_one_process_sends_nothing(monkeypatch):
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     timing = learn(CASES["N, 10 roll-outs"], 1)
-    assert timing.update > 0 and timing[1:] == (0.0, 0.0, 0, 0)
+    assert timing.update > 0 and timing.busy > 0 and timing[2:] == (0.0, 0.0, 0, 0)
+
+
+@pytest.mark.slow
+def test_two_processes_send_their_costs_once(task, monkeypatch, tmp_path):
+    monkeypatch.setattr(RunOptions, "make_task", lambda options: task)
+
+    def work(rank):
+        timing = learn(CASES["N, 10 roll-outs, PI²"], 2)
+        assert timing.messages == 2 and 0 < timing.gather < 1 and timing.together > 0 and timing.busy < 5
+        numbers = 5 * 12 * (1 + 4 + 2)  # costs, gating and inputs of five roll-outs of twelve steps, four Gaussians
+        assert 8 * numbers < timing.bytes < 8 * numbers + 4000  # and what pickle says about three tensors
+
+    for code, said in forked(2, work):
+        assert code == 0, said
+
+
+def test_a_line_has_ratios_of_what_was_measured_one_after_the_other():
+    one, two = Timing(1.0, 0.8, 0.0, 0.0, 0, 0), Timing(0.5, 0.6, 0.2, 0.1, 2, 99)
+    found = {("case", 1): [one, one], ("case", 2): [two, two._replace(update=0.7)]}
+    line = Scale("measure").line("case", 2, found)
+    assert line[2:4] == ["600 [550, 650]", "0.6 [0.55, 0.65]"] and line[5] == "0.75 [0.75, 0.75]"
+    assert line[6:] == ["200", "100", "2", "99"]
+    assert Scale("measure").line("case", 1, found)[3] == ""
