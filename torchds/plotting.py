@@ -25,18 +25,19 @@ try:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.path import Path as Outline
+    from matplotlib.ticker import Formatter, LogLocator, MaxNLocator
 except ImportError as error:
     raise MissingPackageError("matplotlib", "plot", "drawing figures") from error
 
-# One colour for one kind of thing, in all figures.
+# One colour for one kind of thing, in all figures; the colour-blind tell apart those of one figure, see the tests.
 FIELD = "#9db7d5"
 DEMONSTRATION = "#e8a33d"
 GAUSSIAN = "#b03a8c"
 BEFORE = "#7a7a7a"
 AFTER = "#c8201e"
 FRAME = ("#c8201e", "#2a9d5c", "#1f5fa8")
-TERMS = ("#1f5fa8", "#2a9d5c", "#8d6cc3", "#c98a1b", "#4bb3c2", "#8a5a3c")
+TERMS = ("#1f5fa8", "#e69f00", "#2a9d5c", "#cc79a7", "#4bb3e8", "#8a3a1a")
 
 
 def limits(*tracks: Array, margin: float = 0.12, dims: int = 2) -> tuple[tuple[float, float], ...]:
@@ -120,13 +121,42 @@ def trajectories(axes: Axes, x: Array, *, color: str, label: str, lw: float = 2.
 
 
 def markers(axes: Axes, starts: Array, goal: Array, via_points: Mapping[str, Array]) -> None:
-    """Starts as squares, the goal as a star, sets of via-points as crossed circles."""
+    """Starts as squares, the goal as a star, sets of via-points as circles with a cross of their own in each set."""
     axes.plot(*shown(axes, "starts", starts).T, "s", color="black", ms=8, zorder=7, label="start")
     axes.plot(*shown(axes, "a goal", goal)[:, None], "*", color="black", ms=14, zorder=7, label="goal")
-    for (name, points), cross in zip(via_points.items(), ("x", "+", "1", "2"), strict=False):
-        at = shown(axes, "via-points", points).T
-        axes.plot(*at, "o", mfc="none", mec="black", ms=11, mew=1.5, zorder=7, label=name)
-        axes.plot(*at, cross, color="black", ms=8, mew=1.5, zorder=7)
+    for i, (name, points) in enumerate(via_points.items()):
+        (line,) = axes.plot(*shown(axes, "via-points", points).T, ls="", ms=11, mew=1.5, zorder=7, label=name)
+        line.set(marker=crossed(i), markerfacecolor="none", markeredgecolor="black")
+
+
+def crossed(i: int) -> Outline:
+    """A circle with a cross, one marker as a whole, so that a legend shows it as it is drawn: ×, +, Y, and others by i."""
+    arms, turn = ((4, 0.125), (4, 0.0), (3, 0.25), (3, 0.0))[i % 4]
+    angles = 2 * np.pi * (np.arange(arms) / arms + turn)
+    ends = 0.75 * np.stack([np.cos(angles), np.sin(angles)], -1)
+    lines = [Outline(np.stack([np.zeros(2), end])) for end in ends]
+    return Outline.make_compound_path(Outline.unit_circle(), *lines)
+
+
+class PlainNumbers(Formatter):
+    """0.01, 0.1, 1, 10 on an axis of logarithms, and 2 and 5 between them where less than two decades are seen."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """The label of a tick."""
+        low, high = sorted(self.axis.get_view_interval())  # type: ignore[union-attr]
+        first = round(x / 10 ** np.floor(np.log10(x) + 1e-9), 6)
+        if first not in ((1.0, 2.0, 5.0) if high < 100 * low else (1.0,)):
+            return ""
+        return np.format_float_positional(float(f"{x:.3g}"), trim="-") if 1e-6 < x < 1e6 else f"{x:g}"
+
+
+def log_scale(axes: Axes, which: str = "y") -> None:
+    """Make an axis, "x" or "y", one of logarithms with plain numbers."""
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_formatter(PlainNumbers())
+    axis.set_minor_locator(LogLocator(subs=list(range(2, 10))))
+    axis.set_minor_formatter(PlainNumbers())
 
 
 def frames(axes: Axes, x: Array, goal: Array, *, size: float, n: int = 8) -> None:
@@ -201,7 +231,8 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
         axes.plot(rollouts, median, color=color, lw=2.4 if is_total else 1.5, zorder=5 if is_total else 3, label=label)
         axes.fill_between(rollouts, q1, q3, color=color, alpha=0.16, lw=0)
     positive = all(np.nanmin(np.asarray(values, dtype=float)) >= 0 for values in curves.values())
-    axes.set_yscale("log" if positive else "linear")
+    if positive:
+        log_scale(axes)
     axes.set_xlabel("roll-outs")
     axes.set_ylabel("cost of the policy without noise")
     axes.grid(alpha=0.3)

@@ -9,6 +9,7 @@ import torch
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
+from tests.colours import closest
 from tests.motions import two
 from torchds import Demonstrations, plotting
 from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
@@ -132,10 +133,66 @@ def test_markers_and_walls_stand_where_they_are(axes):
     starts, goal, via = torch.tensor([[1.0, 2.0, 9.0]]), torch.tensor([3.0, 4.0, 9.0]), torch.tensor([[5.0, 6.0]])
     plotting.markers(axes, starts, goal, {"first": via, "second": 2 * via})
     drawn = [line.get_xydata().tolist() for line in axes.lines]
-    assert drawn == [[[1, 2]], [[3, 4]], [[5, 6]], [[5, 6]], [[10, 12]], [[10, 12]]]
+    assert drawn == [[[1, 2]], [[3, 4]], [[5, 6]], [[10, 12]]]
     assert legend(axes) == ["start", "goal", "first", "second"]
     plotting.walls(axes, torch.tensor([[[0.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [1.0, 2.0]]]))
     assert axes.lines[-1].get_xydata().tolist() == [[1, 0], [1, 2]] and legend(axes)[-1] == "walls"
+
+
+def test_a_legend_shows_each_marker_as_it_is_drawn_and_sets_of_via_points_differ(axes):
+    points = torch.rand(3, 2)
+    plotting.markers(axes, points[:1], points[0], dict.fromkeys(("first", "second", "third", "fourth"), points))
+    plotting.finish_map(axes, "")
+    entries = axes.get_legend().legend_handles
+    assert len(entries) == len(axes.lines) == 6  # nothing is drawn that the legend does not name
+    for entry, line in zip(entries, axes.lines, strict=True):
+        assert entry.get_label() == line.get_label() and entry.get_markersize() == line.get_markersize()
+        assert (
+            np.array_equal(outline(entry), outline(line)) and entry.get_markerfacecolor() == line.get_markerfacecolor()
+        )
+    looks = [outline(line) for line in axes.lines]
+    assert not [1 for i, a in enumerate(looks) for b in looks[:i] if a.shape == b.shape and np.allclose(a, b)]
+
+
+def outline(line):
+    return line._marker.get_path().vertices
+
+
+@pytest.mark.parametrize(
+    ("limits", "labels"),
+    [
+        ((0.0008, 200), ["0.001", "0.01", "0.1", "1", "10", "100"]),
+        ((0.3, 6), ["0.5", "1", "2", "5"]),
+        ((15, 60), ["20", "50"]),
+        ((2e-9, 2e-5), ["1e-08", "1e-07", "1e-06", "0.00001"]),
+    ],
+)
+@pytest.mark.parametrize("which", ["x", "y"])
+def test_axes_of_logarithms_have_plain_numbers(axes, which, limits, labels):
+    plotting.log_scale(axes, which)
+    axes.set(**{f"{which}lim": limits})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    ticks = [tick for minor in (False, True) for tick in axis.get_ticklabels(minor=minor)]
+    seen = {text.get_text() for text in ticks if limits[0] <= text.get_position()[which == "y"] <= limits[1]} - {""}
+    assert sorted(seen, key=float) == labels
+
+
+@pytest.mark.parametrize(
+    "together",
+    [
+        ("black", *plotting.TERMS),
+        (plotting.FIELD, plotting.DEMONSTRATION, plotting.GAUSSIAN, plotting.BEFORE, plotting.AFTER),
+        (plotting.AFTER, *plotting.TERMS[:2]),
+        plotting.FRAME,
+    ],
+)
+def test_the_colour_blind_tell_the_colours_of_a_figure_apart(together):
+    assert closest(together) >= (15.0,)
+
+
+def test_the_measure_of_colours_knows_what_is_alike():
+    assert closest(("black", "white"))[0] == pytest.approx(100, abs=0.1)
+    assert closest(("#1f5fa8", "#8d6cc3")) < (10.0,)  # blue and purple, without red
 
 
 def test_a_map_has_equal_axes_and_units(axes):

@@ -36,11 +36,9 @@ NAME = "events.out.tfevents.run"
 
 BAND = ("", "_q1", "_q3")  # endings of the tags of a median and its quartiles
 CHARTS = {
-    "cost": {  # TensorBoard shows Z before A
-        "without noise: median and quartiles": ["Margin", [f"cost/total{end}" for end in BAND]],
-        "tried with noise: median and quartiles": ["Margin", [f"cost/tried{end}" for end in BAND]],
-        "terms without noise: medians": ["Multiline", ["cost/(?!total|tried).*"]],
-    },
+    "cost without noise": {"median and quartiles of the runs": ["Margin", [f"cost/total{end}" for end in BAND]]},
+    "cost of what was tried, with noise": {"median and quartiles": ["Margin", [f"cost/tried{end}" for end in BAND]]},
+    "terms of the cost without noise": {"medians of the runs": ["Multiline", ["cost/(?!total|tried).*"]]},
     "search": {
         "width of the noise": ["Multiline", ["exploration/lr"]],
         "entropy of the weights [nat]": ["Multiline", ["weights/entropy"]],

@@ -23,18 +23,18 @@ REFERENCE = "pibb"  # whose final cost the others are held to
 
 COLORS = {
     "pibb": "black",
-    "pi2": "#7a7a7a",
-    "pi2cma": "#e8a33d",
+    "pi2": "black",
+    "pi2cma": "#e69f00",
     "surrogate": "#c2185b",
-    "nes": "#8d6cc3",
-    "cma": "#2a9d5c",
+    "nes": "#8a3a1a",
+    "cma": "#8fd694",
     "cobyqa": "#1f5fa8",
-    "finite_differences": "#4bb3c2",
+    "finite_differences": "#4bb3e8",
     "adam": "#c8201e",
     "sgd": "#f08a7e",
     "lbfgs": "#6d1b1b",
 }
-OTHERS = ("#c98a1b", "#8a5a3c", "#b03a8c", "#5f7d3a")  # of rows that were added
+OTHERS = ("#1f5fa8", "#c2185b", "#e69f00", "#8fd694")  # of rows that were added
 
 
 @dataclass(frozen=True)
@@ -236,22 +236,29 @@ def curves(rows: Sequence[Outcome]) -> Figure:
     return figure
 
 
+def dashes(row: Outcome) -> str:
+    """Colours tell optimizers of one kind of line apart: dashed with gradients, dots for PI² and for rows that were added."""
+    name = row.label.split(",")[0]
+    return "--" if row.gradient else "-." if name == "pi2" else "-" if name in COLORS else ":"
+
+
 def draw(axes: Axes, rows: Sequence[Outcome], color: dict[str, str], level: float | None) -> None:
-    """Medians as lines, quartiles as bands; dashed where the method sees gradients."""
+    """Medians as lines, quartiles as bands."""
     floor, ceiling = math.inf, 0.0
     for row in rows:
         q1, median, q3 = row.quartiles()
         name = row.label.split(",")[0]
         x = row.record["rollouts"]
-        dashes = "--" if row.gradient else "-"
         width = 2.4 if name == REFERENCE else 1.5
-        axes.plot(x, median, dashes, color=color[name], lw=width, label=name + (" (gradients)" if row.gradient else ""))
+        axes.plot(
+            x, median, dashes(row), color=color[name], lw=width, label=name + (" (gradients)" if row.gradient else "")
+        )
         axes.fill_between(x, q1, np.where(np.isfinite(q3), q3, median), color=color[name], alpha=0.12, lw=0)
         floor = min(floor, *(value for value in median if value > 0))
         ceiling = max(ceiling, median[0])
     if level is not None:
         axes.axhline(level, color="black", lw=0.8, ls=":", label="final median of PI^BB, plain")
-    axes.set_yscale("log")
+    plotting.log_scale(axes)
     if ceiling > 0 and math.isfinite(floor):
         low = axes.get_ylim()[0] if axes.has_data() else floor
         axes.set_ylim(min(low, 0.7 * floor), 3 * ceiling)
@@ -279,12 +286,6 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
     for i, row in enumerate(kept):
         make_folder(folder / f"{i:03d}")
         with Events(folder / f"{i:03d}") as board:
-            hparams: dict[str, bool | float | str] = {
-                "problem": row.problem,
-                "optimizer": row.label,
-                "factor": row.factor or 0.0,
-                "gradient": row.gradient,
-            }
             level = reference_level([other for other in kept if other.problem == row.problem])
             reached = None if level is None else row.reaches(level)
             metrics = {
@@ -293,6 +294,7 @@ def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versio
                 "hparam/forward_equivalents": row.record["forward_equivalents"][-1],
                 "hparam/seconds": row.record["seconds"],
             }
-            board.options(hparams)
+            named = {"problem": row.problem, "optimizer": row.label, "gradient": str(row.gradient)}
+            board.options({**named, "factor": row.factor or 0.0})
             board.scalars(metrics, row.record["rollouts"][-1])
     return text

@@ -57,7 +57,8 @@ def test_a_median_and_its_quartiles_are_one_chart(tmp_path):
     (event,) = read(tmp_path).Tensors("custom_scalars__config__")
     layout = layout_pb2.Layout()
     layout.ParseFromString(event.tensor_proto.string_val[0])
-    bands = [chart.margin.series[0] for chart in layout.category[0].chart if chart.HasField("margin")]
+    charts = [chart for category in layout.category for chart in category.chart]
+    bands = [chart.margin.series[0] for chart in charts if chart.HasField("margin")]
     assert [(band.value, band.lower, band.upper) for band in bands] == [
         (f"cost/{name}", f"cost/{name}_q1", f"cost/{name}_q3") for name in ("total", "tried")
     ]

@@ -5,7 +5,21 @@ import csv
 import numpy as np
 import pytest
 
-from train.compare.report import HEAD, Outcome, choices, colors, curves, number, page, reference_level, table, write
+from tests.colours import closest
+from train.compare.report import (
+    COLORS,
+    HEAD,
+    Outcome,
+    choices,
+    colors,
+    curves,
+    dashes,
+    number,
+    page,
+    reference_level,
+    table,
+    write,
+)
 
 
 def row(label, cost, rollouts=(0, 10, 20)):
@@ -99,6 +113,15 @@ def test_curves_have_a_panel_for_each_problem_and_kind():
     ]
     (line,) = [line for line in figure.axes[0].lines if line.get_label() == "pibb"]
     assert line.get_ydata().tolist() == [9.0, 2.0]
+
+
+@pytest.mark.parametrize("kind", ["-", "-.", "--", ":"])
+def test_the_colour_blind_tell_the_rows_of_one_kind_of_line_apart(kind):
+    gradient = ("adam", "sgd", "lbfgs")
+    rows = [Outcome("p", name, gradient=name in gradient) for name in (*COLORS, "own", "other", "third", "fourth")]
+    shown = [row.label for row in rows if dashes(row) == kind]
+    assert {"-": "cobyqa", "-.": "pi2", "--": "adam", ":": "own"}[kind] in shown
+    assert closest([colors(rows)[name] for name in shown]) >= (15.0,) if len(shown) > 1 else shown == ["pi2"]
 
 
 OPTIONS = {"noise_std": 0.0, "factors": (0.1, 1.0), "tuning_runs": 5}

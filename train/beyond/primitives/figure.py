@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from torchds import plotting
 from train.beyond.primitives.rows import Row, Seen
 from train.statistics import quartiles
 
@@ -54,7 +55,8 @@ def draw_curves(axes: Axes, rows: Sequence[Row]) -> None:
         x, color = row.learner.history.rollouts, LEARNERS[row.way]
         axes.plot(x, middle, SYSTEMS[row.system][2], color=color, lw=1.8)
         axes.fill_between(x, q1, q3, color=color, alpha=0.1, lw=0)
-    axes.set(yscale="log", xlabel="roll-outs", ylabel="cost of the task, without control cost")
+    plotting.log_scale(axes)
+    axes.set(xlabel="roll-outs", ylabel="cost of the task, without control cost")
     axes.grid(alpha=0.3)
 
 

@@ -77,7 +77,13 @@ def figure_8(runs: int, seed: int) -> Made:
     variants = {name: variant(name, runs, seed) for name in names}
     figure = Figure(figsize=(14, 5.5), layout="constrained")
     left, right = figure.subplots(1, 2)
-    colors = dict(zip(names, ("#1f5fa8", "#4bb3c2", plotting.AFTER, "#8d6cc3", "#2a9d5c", "#c98a1b"), strict=True))
+    colors = dict(
+        zip(
+            names,
+            (*plotting.TERMS[:1], plotting.TERMS[4], plotting.AFTER, *plotting.TERMS[3:1:-1], plotting.TERMS[1]),
+            strict=True,
+        )
+    )
     styles = {FREE: "--", TIED: ":"}
     for name, found in variants.items():
         level = LEVELS.index(SHOWN) if found.cost.shape[1] > 1 else 0
@@ -91,13 +97,13 @@ def figure_8(runs: int, seed: int) -> Made:
             right.fill_between(LEVELS, q1, q3, color=colors[name], alpha=0.12, lw=0)
     left.set_xlabel("roll-outs")
     left.set_title(f"Noise {SHOWN}: median and quartiles of {runs} runs")
-    right.set_xscale("log")
+    plotting.log_scale(right, "x")
     right.set_xticks(LEVELS, [str(level) for level in LEVELS])
     right.minorticks_off()
     right.set_xlabel("standard deviation of the noise of A [1/s]")
     right.set_title(f"After {10 * (len(variants[STABLE].cost) - 1)} roll-outs")
     for axes in (left, right):
-        axes.set_yscale("log")
+        plotting.log_scale(axes)
         axes.set_ylabel("cost of the policy without noise")
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=8)
