@@ -196,6 +196,18 @@ def walls(axes: Axes, segments: Array) -> None:
         axes.plot(*segment.T, color="black", lw=4, solid_capstyle="round", zorder=6, label=label)
 
 
+def small_map(*tracks: Array) -> tuple[Figure, Axes]:
+    """A figure of 400 by 460 pixels and its axes, with limits around tracks `(..., D)`, to be finished by `finish_map`.
+
+    Its room is shared out beforehand, which takes a third of the time of a layout that is fitted: for pictures in a series.
+    """
+    figure = Figure(figsize=(4.0, 4.6), dpi=100)
+    figure.subplots_adjust(left=0.16, right=0.97, top=0.93, bottom=0.24)
+    axes = figure.subplots()
+    axes.set(**dict(zip(("xlim", "ylim"), limits(*tracks, margin=0.25), strict=True)))
+    return figure, axes
+
+
 def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("x1", "x2", "x3")) -> None:
     """Equal aspect, axis labels with the unit, title, and the legend below the map."""
     axes.set_aspect("equal")

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
@@ -193,6 +194,19 @@ def test_the_colour_blind_tell_the_colours_of_a_figure_apart(together):
 def test_the_measure_of_colours_knows_what_is_alike():
     assert closest(("black", "white"))[0] == pytest.approx(100, abs=0.1)
     assert closest(("#1f5fa8", "#8d6cc3")) < (10.0,)  # blue and purple, without red
+
+
+def test_a_small_map_holds_its_tracks_and_its_legend():
+    figure, axes = plotting.small_map(torch.tensor([[0.0, 0.0], [4.0, 2.0]]))
+    assert (axes.get_xlim(), axes.get_ylim()) == ((-1, 5), (-1, 3))
+    plotting.markers(
+        axes, torch.zeros(1, 2), torch.ones(2), {"via-points, left": torch.ones(1, 2), "right": torch.ones(1, 2)}
+    )
+    plotting.finish_map(axes, "After 500 roll-outs", "mm")
+    FigureCanvasAgg(figure).draw()
+    for part in (axes.get_legend(), axes.xaxis.label, axes.yaxis.label, axes.title):
+        box = part.get_window_extent()
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= 400 and box.y1 <= 460
 
 
 def test_a_map_has_equal_axes_and_units(axes):

@@ -171,17 +171,14 @@ class TensorBoard:
 
     def _draw(self, events: Events, x: Tensor, step: int) -> None:
         """The motion now, in front of the first one."""
-        from matplotlib.figure import Figure
-
         from torchds import plotting
 
         x = x.detach().cpu()
         self._first = x if self._first is None else self._first
-        figure = Figure(figsize=(5, 5))
-        axes = figure.subplots()
-        plotting.trajectories(axes, self._first[..., :2], color=plotting.BEFORE, label="before learning", lw=1.4)
-        plotting.trajectories(axes, x[..., :2], color=plotting.AFTER, label=f"after {step} roll-outs", lw=1.4)
-        plotting.finish_map(axes, "Motion of the policy without noise")
+        figure, axes = plotting.small_map(self._first, x)
+        plotting.trajectories(axes, self._first[..., :2], color=plotting.BEFORE, label="in the beginning", lw=1.4)
+        plotting.trajectories(axes, x[..., :2], color=plotting.AFTER, label="now", lw=1.4)
+        plotting.finish_map(axes, f"After {step} roll-outs")
         events.figure("motion", figure, step)
 
 

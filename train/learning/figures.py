@@ -37,13 +37,14 @@ def motion(learner: Learner) -> Figure:
 def progress(learner: Learner, path: Rollout) -> Figure:
     """The motions of all runs as they are now, on what was imitated; small, and without the field, since there are many."""
     task, history = learner.task, learner.history
-    figure = Figure(figsize=(5, 5.4))
-    axes = figure.subplots()
-    plotting.trajectories(axes, task.rollout(learner.initial).x, color=plotting.BEFORE, label="before learning", lw=1.4)
+    before, scene = task.rollout(learner.initial).x, task.scene()
+    figure, axes = plotting.small_map(
+        before, *scene.via_points.values(), *(() if scene.walls is None else (scene.walls,))
+    )
+    plotting.trajectories(axes, before, color=plotting.BEFORE, label="before learning", lw=1.4)
     runs = learner.options.runs
     label = "now" if runs == 1 else f"now, {runs} runs"
     plotting.trajectories(axes, path.x, color=plotting.AFTER, label=label, lw=1.4, alpha=1.0 if runs == 1 else 0.4)
-    scene = task.scene()
     if scene.walls is not None:
         plotting.walls(axes, scene.walls)
     plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
