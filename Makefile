@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 FAST := -n 2 -m 'not slow and not gpu'
 
-.PHONY: train quick test coverage oldest fuzz lint format clean
+.PHONY: train quick test coverage oldest fuzz lint format release-check clean
 
 train: $(VENV)/.ready
 	$(BIN)/python -m train via_point --shape N --runs 20 --updates 100
@@ -23,6 +23,15 @@ coverage: lint
 CASES ?= 7500
 fuzz: $(VENV)/.ready
 	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
+
+# All that a release needs, of the commit that stands here: dist/ holds what to upload when it says so.
+release-check: $(VENV)/.ready
+	@test -z "$$(git status --porcelain)" || { git status --short; echo "not ready: the tree is not clean"; exit 1; }
+	$(MAKE) test
+	$(MAKE) docs
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation
+	$(BIN)/python -m tests.release dist
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .

@@ -82,7 +82,7 @@ else:
     from torchds.stops import Bounds as Bounds
     from torchds.stops import Walls as Walls
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Bounds",
