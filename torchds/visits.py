@@ -55,7 +55,7 @@ class Gated(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of the features, (*batch, *points, T, K (D+1))."""
+        """That of the features, `(*batch, *points, T, K (D+1))`."""
         *lead, K = self.gating.shape
         return *lead, K * (self.inputs.shape[-1] + 1)
 

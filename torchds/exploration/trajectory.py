@@ -46,7 +46,7 @@ class TrajectorySpace(Exploration):
 
     `Homogeneous` makes the velocity noise equal at the centres; what becomes of it after a hundred steps differs by
     orders of magnitude between directions of θ. Here the roll-out's Jacobian J = ∂(x_1 … x_T)/∂θ decides: with D the
-    homogeneous variances times `widening`², the covariance is
+    homogeneous variances times `widening`\ ², the covariance is
 
     .. math:: C = (J^T J / (T\, spread^2) + D^{-1})^{-1},
 

@@ -36,7 +36,7 @@ def load(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -> De
     and calls.
 
     Args:
-        paths: a file, a folder, a pattern such as "recordings/*.mat", or a sequence of files of one kind.
+        paths: a file, a folder, a pattern such as `"recordings/*.mat"`, or a sequence of files of one kind.
         **how: what the files do not say themselves, see `Reading`.
 
     Raises:

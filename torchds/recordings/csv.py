@@ -38,7 +38,7 @@ def load_csv(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -
     columns are positions, none is guessed. A new demonstration begins where its number changes or time starts anew.
 
     Args:
-        paths: a file, a folder whose *.csv are read in the order of their names, or a sequence of files.
+        paths: a file, a folder whose `*.csv` are read in the order of their names, or a sequence of files.
         **how: see `Reading`; docs/data.md has a table of forms and calls.
 
     Raises:
