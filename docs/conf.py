@@ -1,5 +1,6 @@
 """How Sphinx makes the site: `make docs`."""
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -7,6 +8,13 @@ from typing import Any
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
+# For the kernels that run the tutorials: the checkout, one look for all figures, one thread, no warnings of machine paths.
+os.environ |= {
+    "PYTHONPATH": str(ROOT),
+    "MATPLOTLIBRC": str(Path(__file__).parent),
+    "OMP_NUM_THREADS": "1",
+    "PYTHONWARNINGS": "ignore",
+}
 
 import torchds  # noqa: E402
 
@@ -41,6 +49,8 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]  # pages that are read in the checkout begin where they like
 
 nb_execution_mode = "cache"
+nb_execution_in_temp = True
+nb_output_stderr = "remove"
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
 nb_render_image_options = {"align": "center"}
