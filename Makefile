@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 FAST := -n 2 -m 'not slow and not gpu'
 
-.PHONY: train quick test coverage oldest fuzz lint format release-check clean
+.PHONY: train quick test coverage oldest fuzz docs lint format release-check clean
 
 train: $(VENV)/.ready
 	$(BIN)/python -m train via_point --shape N --runs 20 --updates 100
@@ -23,6 +23,15 @@ coverage: lint
 CASES ?= 7500
 fuzz: $(VENV)/.ready
 	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
+
+# The site in docs/_build/html: its tutorials are run, a warning is an error, and no link leads nowhere.
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build -q -W --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
+	$(BIN)/python -m tests.project.site docs/_build/html
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
 
 # All that a release needs, of the commit that stands here: dist/ holds what to upload when it says so.
 release-check: $(VENV)/.ready
@@ -74,4 +83,4 @@ python3.%: .venv-3.%/.ready
 .PRECIOUS: .venv-3.%/.ready
 
 clean:
-	rm -rf $(VENV) $(VENV)-* build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) $(VENV)-* build dist docs/_build .mypy_cache .pytest_cache .ruff_cache

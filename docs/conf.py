@@ -17,6 +17,9 @@ os.environ |= {
 }
 
 import torchds  # noqa: E402
+from jupyter_client.connect import ConnectionFileMixin  # noqa: E402
+
+ConnectionFileMixin.transport.default_value = "ipc"  # the kernels of the tutorials listen to no port
 
 project = "torchds"
 author = "the torchds authors"
@@ -42,7 +45,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-copyright = "MIT licence"
+copyright = "the torchds authors, MIT licence"
 
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
@@ -59,6 +62,9 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "Closure", "StopCondition", "Reference")}
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 100
 autodoc_default_options = {"members": True, "show-inheritance": True}
 default_role = "code"  # single backticks are code in our docstrings
 napoleon_google_docstring = True
