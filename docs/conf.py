@@ -16,8 +16,9 @@ os.environ |= {
     "PYTHONWARNINGS": "ignore",
 }
 
-import torchds  # noqa: E402
 from jupyter_client.connect import ConnectionFileMixin  # noqa: E402
+
+import torchds  # noqa: E402
 
 ConnectionFileMixin.transport.default_value = "ipc"  # the kernels of the tutorials listen to no port
 
