@@ -143,9 +143,8 @@ def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1)
 def without_autocast(x: Tensor) -> AbstractContextManager[Any]:
     """A block in which matrix products on the device of `x` are as precise as their arguments, whatever is around it."""
     kind = x.device.type
-    known = torch.compiler.is_compiling() or torch.amp.is_autocast_available(
-        kind
-    )  # Dynamo of torch < 2.13 stops at the latter
+    # Dynamo of torch < 2.13 stops at is_autocast_available.
+    known = torch.compiler.is_compiling() or torch.amp.is_autocast_available(kind)
     return torch.autocast(kind, enabled=False) if known and torch.is_autocast_enabled(kind) else nullcontext()
 
 
