@@ -1,4 +1,4 @@
-"""`python -m train view lwr_digging --policy DIR`: a learned digging motion in MuJoCo's viewer."""
+"""`python -m train view TASK --policy DIR`: a learned digging motion in MuJoCo's viewer, or any motion in a web page."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
+from train.browser.page import Page
+from train.browser.page import show as show_page
+from train.browser.takes import of_digging, of_motion
 from train.folder import OPTIONS, POLICY, RunFolder
 from train.learning.learner import Learner
-from train.options import RunOptions
+from train.options import RunOptions, options_for
 
 if TYPE_CHECKING:
     from tasks.digging.gravel import Gravel
 
 PER_SECOND = 30  # frames
+SHOVEL = ((0.60, -1.15, 0.70), (0.47, 0.0, 0.27))  # m, where the camera stands, and what it looks at
 
 
 class NoDisplayError(TorchdsError, RuntimeError):
@@ -29,27 +33,43 @@ class NoDisplayError(TorchdsError, RuntimeError):
 
 @dataclass
 class View:
-    """Show a trial of a learned policy in MuJoCo's viewer, again and again until its window is closed."""
+    """Look at a learned policy: digging in MuJoCo's viewer, or any task's motion in a web page."""
 
-    task: Annotated[Literal["lwr_digging"], tyro.conf.Positional]
-    """The task; only this one has a scene to look at."""
-    policy: Path
-    """Folder of the run that learned the policy."""
+    task: tyro.conf.Positional[str]
+    """The task."""
+    policy: Path | None = None
+    """Folder of the run that learned the policy; without one, the page shows the demonstrated policy alone."""
     run: int = 0
     """Which of the run's policies."""
+    browser: tyro.conf.UseCounterAction[int] = 0
+    """Show it in a web page (extra "view"), before and after learning; needs no screen on this machine."""
+    trials: int = 2
+    """Trials of digging to choose from on the page."""
+    grains: Literal["fine", "coarse"] = "fine"
+    """The bed of digging, where there is no run that says it."""
+    port: int = 8080
+    """Of the page."""
 
     def main(self) -> None:
-        """Make one trial and show it.
+        """Make trials and show them.
 
         Raises:
-            NoDisplayError: there is no screen.
-            InvalidArgumentError: the folder holds no policy of this task.
+            NoDisplayError: there is no screen for a window.
+            InvalidArgumentError: the folder holds no policy of this task, or there is nothing to show.
         """
-        options = self.options()
+        if self.trials < 1:
+            raise InvalidArgumentError(f"--trials has to be at least 1, got {self.trials}")
+        if self.browser:
+            return show_page(self.page())
+        if self.task != "lwr_digging" or self.policy is None:
+            raise InvalidArgumentError(
+                "a window needs the task lwr_digging and --policy; with --browser a page shows any task"
+            )
+        options = self.options(self.policy)
         if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise NoDisplayError(
-                "no window can be opened: neither DISPLAY nor WAYLAND_DISPLAY is set. Run this on a machine with a screen, or "
-                f"look at {self.policy / 'film.gif'}, which the run left"
+                "no window can be opened: neither DISPLAY nor WAYLAND_DISPLAY is set. Add --browser, run this on a machine "
+                f"with a screen, or look at {self.policy / 'film.gif'}, which the run left"
             )
         learner = Learner(options)
         policy = RunFolder(self.policy).policy()
@@ -57,18 +77,35 @@ class View:
         task: Any = learner.task
         show(task.gravel, learner.task.rollout(policy[self.run]))
 
-    def options(self) -> RunOptions:
+    def page(self) -> Page:
+        """The page, which is served from here on."""
+        digging = {"grains": self.grains} if self.task == "lwr_digging" else {}
+        options = options_for(self.task, **digging) if self.policy is None else self.options(self.policy)
+        task: Any = options.make_task()
+        policies = {"before learning": task.policy()}
+        if self.policy is not None:
+            policies["after learning"] = RunFolder(self.policy).policy()[self.run]
+        if self.task != "lwr_digging":
+            return Page(self.task, of_motion(task, policies), port=self.port)
+        from tasks.digging.rendering import picture_model
+        from train.browser.shapes import Shapes
+
+        print(f"{self.trials * len(policies)} trials, then the page opens ...")
+        takes = of_digging(task, policies, self.trials)
+        return Page("digging", takes, Shapes(picture_model(task.gravel)), port=self.port, look=SHOVEL)
+
+    def options(self, path: Path) -> RunOptions:
         """Those of the run in the folder.
 
         Raises:
             InvalidArgumentError: see `main`.
         """
-        folder = RunFolder(self.policy, "--policy")
+        folder = RunFolder(path, "--policy")
         folder.require(OPTIONS, POLICY)
         options = folder.options()
         if options.task != self.task or not 0 <= self.run < options.runs:
             raise InvalidArgumentError(
-                f"--policy {self.policy}: a run of {options.task!r} with {options.runs} policies; needed is one of "
+                f"--policy {path}: a run of {options.task!r} with {options.runs} policies; needed is one of "
                 f"{self.task!r} that has policy {self.run}"
             )
         return options

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from torchds.errors import InvalidArgumentError
+from torchds.errors import InvalidArgumentError, MissingPackageError
 from train import view
 from train.options import options_for
 from train.view import NoDisplayError, View
@@ -22,7 +22,7 @@ def folder(tmp_path):
 
 
 def test_the_options_are_those_of_the_run(folder):
-    assert View("lwr_digging", folder, run=1).options().seconds == 3.0
+    assert View("lwr_digging", folder, run=1).options(folder).seconds == 3.0
 
 
 @pytest.mark.parametrize("name", ["policy.pt", "options.json"])
@@ -92,3 +92,31 @@ def test_the_snapshots_are_played_in_order_until_the_window_is_closed(monkeypatc
     trial = shown[:again]
     assert trial == sorted(trial) and 1.0 in trial and max(trial) < 3.0
     assert shown[again : 2 * again] == trial[: 70 - again]
+
+
+def test_a_window_is_for_a_learned_digging_motion_alone(folder):
+    for refused in (View("lwr_digging"), View("via_point", folder)):
+        with pytest.raises(
+            InvalidArgumentError, match="a window needs the task lwr_digging and --policy; with --browser a page"
+        ):
+            refused.main()
+    with pytest.raises(InvalidArgumentError, match="--trials has to be at least 1, got 0"):
+        View("lwr_digging", trials=0).main()
+
+
+@pytest.mark.slow
+def test_the_page_of_any_task_has_the_policy_before_learning(monkeypatch):
+    made = []
+    monkeypatch.setattr(view, "Page", lambda title, takes, **options: made.append((title, takes, options)))
+    View("via_point", browser=1, port=1234).page()
+    ((title, takes, options),) = made
+    assert title == "via_point" and options == {"port": 1234}
+    assert {take.policy for take in takes} == {"before learning"}
+
+
+def test_a_page_without_its_package_says_which_extra_brings_it(monkeypatch):
+    from train.browser import page
+
+    monkeypatch.setattr(page.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"torchds\[view\]"):
+        page.Page("nothing", [])

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 START = torch.tensor([-0.12, -0.2, 0.1, 0.4, -0.5, 0.6], dtype=torch.float64)
 """Where the motion begins, from its goal: 0.25 m away and turned by 50 degrees, [m] and [rad]."""
 DT = 0.001
+SEEN = 20  # time steps between two pictures
+AROUND = ((1.6, -1.6, 1.2), (0.0, 0.0, 0.4))  # m, where the camera stands, and what it looks at
 HEADER = ("arm", "farthest behind [mm]", "[°]", "from the goal at the end [mm]", "[°]", "torques cut", "a call [µs]")
 
 
@@ -44,6 +46,10 @@ class Arm:
     """Stiffness of the rotation in the unit of the other [m²/rad]."""
     seconds: float = 3.0
     """Of the trial; the motion takes about two."""
+    browser: tyro.conf.UseCounterAction[int] = 0
+    """Show arm and motion in a web page afterwards, until it is interrupted (extra "view")."""
+    port: int = 8080
+    """Of the page."""
 
     def main(self) -> None:
         """Follow, and print a line of a table."""
@@ -52,6 +58,12 @@ class Arm:
         numbers = (found.distance, found.angle, found.end_distance, found.end_angle)
         row = [self.description.stem, *(f"{value:.2f}" for value in numbers), str(found.cut), f"{found.call:.0f}"]
         print(markdown(HEADER, [row], "lrrrrrr"))
+        if self.browser:
+            from train.browser.page import Page, show
+            from train.browser.shapes import Shapes
+            from train.browser.takes import of_arm
+
+            show(Page(self.description.stem, of_arm(found), Shapes(mine.model), port=self.port, look=AROUND))
 
 
 class Followed(NamedTuple):
@@ -62,6 +74,9 @@ class Followed(NamedTuple):
         end_distance, end_angle: from the goal at the end [mm, degrees].
         cut: time steps in which a torque was cut.
         call: median time of a call of the controller [µs].
+        times: `(F,)` of what follows [s].
+        qpos: `(F, nq)` generalised positions of the model.
+        tool, wanted: `(F, 3)` where the tool was, and should have been [m].
     """
 
     distance: float
@@ -70,6 +85,10 @@ class Followed(NamedTuple):
     end_angle: float
     cut: int
     call: float
+    times: np.ndarray
+    qpos: np.ndarray
+    tool: np.ndarray
+    wanted: np.ndarray
 
 
 def learned() -> GMRPolicy:
@@ -106,6 +125,7 @@ def followed(mine: Description, rest: Tensor, stiffness: float, rotation_scale: 
     mine.model.opt.timestep = DT
     data.qpos[mine.qpos] = q
     errors, times, cut = [], [], 0
+    seen: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
     for k in range(round(seconds / DT)):
         q, v = torch.from_numpy(data.qpos[mine.qpos]), torch.from_numpy(data.qvel[mine.dofs])
         mass, bias = mine.dynamics(q, v)
@@ -114,6 +134,8 @@ def followed(mine: Description, rest: Tensor, stiffness: float, rotation_scale: 
         times.append(time.perf_counter() - began)
         errors.append(asked.error)
         cut += bool(asked.saturated.any())
+        if k % SEEN == 0:
+            seen.append((k * DT, data.qpos.copy(), asked.pose[:3, 3].numpy(), reference.x[k].numpy()))
         data.qfrc_applied[mine.dofs] = asked.torque
         mujoco.mj_step(mine.model, data)
     _, pose = mine.chain.jacobian(torch.from_numpy(data.qpos[mine.qpos])[None])
@@ -126,6 +148,7 @@ def followed(mine: Description, rest: Tensor, stiffness: float, rotation_scale: 
         math.degrees(float(last.norm())),
         cut,
         1e6 * float(np.median(times)),
+        *(np.array(part) for part in zip(*seen, strict=True)),
     )
 
 
