@@ -41,7 +41,7 @@ PROBLEMS: dict[str, tuple[str, dict[str, str]]] = {
 ENVIRONMENTS = {
     "".join(word[:1].upper() + word[1:] for word in name.replace("-", "_").split("_")): problem
     for name, problem in PROBLEMS.items()
-    if name != "lwr_digging"  # its roll-outs cannot be made step by step
+    if name != "lwr_digging"  # it has an environment of its own, `tasks.digging.gym`
 }
 """The problems as Gymnasium environments (`tasks.gym`): via_point-N is ViaPointN."""
 

@@ -39,6 +39,30 @@ def observations(trials: Trials) -> Array:
     return trials.observe().numpy().astype(np.float32)
 
 
+def drawn(trials: Trials) -> Array:
+    """A picture `(480, 480, 3)` in bytes of the first roll-out so far, the plant and its reference."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from torchds import plotting
+
+    task, scene = trials.task, trials.task.scene()
+    figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
+    axes = figure.subplots()
+    plotting.demonstrations(axes, task.demonstrations)
+    if scene.walls is not None:
+        plotting.walls(axes, scene.walls)
+    if trials.t:
+        path = trials.path()
+        plotting.trajectories(axes, path.reference[0], color="0.5", label="reference", lw=1.2)
+        plotting.trajectories(axes, path.x[0], color=plotting.AFTER, label="motion")
+    plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
+    plotting.finish_map(axes, f"t = {trials.t * trials.dt:.1f} s", scene.unit)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
 class TaskEnv(gymnasium.Env[Array, Array]):
     """A task as an environment; `Trials` explains actions, observations and rewards.
 
@@ -47,13 +71,14 @@ class TaskEnv(gymnasium.Env[Array, Array]):
 
     Args:
         task: the task, or its name for `tasks.make`.
+        render_mode: "rgb_array" for pictures of the motion so far.
         **options: of the task, with its name.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012, as Gymnasium has it
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012, as Gymnasium has it
 
-    def __init__(self, task: Task | str, **options: Any) -> None:
-        self.trials = _trials(task, 1, options)
+    def __init__(self, task: Task | str, render_mode: str | None = None, **options: Any) -> None:
+        self.trials, self.render_mode = _trials(task, 1, options), render_mode
         self.observation_space, self.action_space = _spaces(self.trials)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -66,6 +91,10 @@ class TaskEnv(gymnasium.Env[Array, Array]):
         """Make one step of the roll-out."""
         reward = self.trials.step(torch.as_tensor(action)[None])
         return observations(self.trials)[0], float(reward), self.trials.done, False, {}
+
+    def render(self) -> Any:
+        """Scene, demonstrations and the motion so far, `(480, 480, 3)`, where pictures were asked for."""
+        return drawn(self.trials) if self.render_mode == "rgb_array" else None
 
 
 class TaskVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
@@ -104,6 +133,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         return observations(self.trials), rewards, ended, np.zeros_like(ended), infos
 
 
+gymnasium.register("torchds/LwrDigging-v0", "tasks.digging.gym:LwrDiggingEnv")
 for _name, (_task, _options) in ENVIRONMENTS.items():
     gymnasium.register(
         f"torchds/{_name}-v0",

@@ -77,6 +77,69 @@ def scoop(seconds: float = 15.0, dt: float = 0.004, way_points: np.ndarray = WAY
     return torch.from_numpy(scipy.interpolate.PchipInterpolator(t, np.stack(points, -1))(times.clip(max=1.0)))
 
 
+class Trials:
+    """All arms of `worlds` follow references from rest, step by step.
+
+    Args:
+        worlds: N copies of the world.
+        start: `(N, 3)` x [m], z [m], angle [rad].
+        seeds: of the beds, one a roll-out.
+
+    Raises:
+        InvalidArgumentError: a start out of reach.
+    """
+
+    def __init__(self, worlds: Worlds, start: Tensor, seeds: list[int]) -> None:
+        self.worlds, self.dt = worlds, worlds.gravel.time_step
+        q = lwr.posture(*start.unbind(-1))
+        # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
+        # Compiled where numba is, which the extra "digging" brings: gravel is chaotic, and without it moves otherwise.
+        self.control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
+        worlds.reset(q, seeds)
+        self.poses: list[Tensor] = [start]
+        self.readings: list[tuple[np.ndarray, np.ndarray]] = []
+        self.torques: list[Tensor] = []
+        self.stiffness: list[Tensor] = []
+        self.snapshots = [worlds.snapshot()]
+        self._between = round(SNAPSHOT / self.dt)
+
+    def step(self, point: Tensor, rate: Tensor, s: Tensor) -> None:
+        """One time step towards `point` `(N, 3)` at `rate` `(N, 3)`, with stiffness `s` `(N,)` [N/m]."""
+        worlds, began = self.worlds, time.perf_counter()
+        # A roll-out that explodes must not take the others with it; it is marked at the end.
+        q, v = worlds.q.nan_to_num(0.0, 0.0, 0.0), worlds.v.nan_to_num(0.0, 0.0, 0.0)
+        wanted = PlaneReference(point[:, :2], point[:, 2], rate[:, :2], rate[:, 2])
+        asked = self.control(q, v, worlds.mass, worlds.bias, wanted, s)
+        if self.torques:
+            self.poses.append(_in_plane(self.control, asked.pose))
+        self.torques.append(asked.torque)
+        self.stiffness.append(s)
+        decided = time.perf_counter()
+        worlds.step(asked.torque)
+        stepped = time.perf_counter()
+        self.readings.append(worlds.reading)
+        if len(self.torques) % self._between == 0:
+            self.snapshots.append(worlds.snapshot())
+        worlds.seconds["physics"] += stepped - decided
+        worlds.seconds["control"] += decided - began + time.perf_counter() - stepped
+
+    def recording(self) -> Recording:
+        """What was measured so far, after a step at least."""
+        worlds = self.worlds
+        _, last = self.control.chain.jacobian(worlds.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
+        force = worlds.force(*(np.stack(part, 1) for part in zip(*self.readings, strict=True)))
+        force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
+        return Recording(
+            pose=torch.stack([*self.poses, _in_plane(self.control, last)], 1),
+            force=force,
+            torque=torch.stack(self.torques, 1),
+            stiffness=torch.stack(self.stiffness, 1),
+            load=force[:, -max(1, round(WEIGHING / self.dt)) :, 2].mean(-1),
+            snapshots=torch.stack(self.snapshots, 1),
+            failed=worlds.failed,
+        )
+
+
 def dig(
     worlds: Worlds,
     reference: Tensor,
@@ -107,48 +170,12 @@ def dig(
         s = stiffness.detach().to(torch.float64)
         s = (s if s.ndim == 2 else s.unsqueeze(-1)).expand(N, n_steps)
         rates = reference.diff(dim=1) / dt
-        q = lwr.posture(*reference[:, 0].unbind(-1))
-        # The free joint swivels the elbow out of the plane; any posture in the plane keeps it there.
-        # Compiled where numba is, which the extra "digging" brings: gravel is chaotic, and without it moves otherwise.
-        control = CartesianImpedance(lwr.chain(), q[0], torque_limit=lwr.EFFORTS)
-        worlds.reset(q, seeds)
-        poses, readings, torques = [reference[:, 0]], [], []
-        snapshots, between = [worlds.snapshot()], round(SNAPSHOT / dt)
-        began = time.perf_counter()
+        trials = Trials(worlds, reference[:, 0], seeds)
         for i in range(n_steps):
-            # A roll-out that explodes must not take the others with it; it is marked at the end.
-            q, v = worlds.q.nan_to_num(0.0, 0.0, 0.0), worlds.v.nan_to_num(0.0, 0.0, 0.0)
-            point, rate = reference[:, i + 1], rates[:, i]
-            wanted = PlaneReference(point[:, :2], point[:, 2], rate[:, :2], rate[:, 2])
-            asked = control(q, v, worlds.mass, worlds.bias, wanted, s[:, i])
-            if i > 0:
-                poses.append(_in_plane(control, asked.pose))
-            torques.append(asked.torque)
-            decided = time.perf_counter()
-            worlds.step(asked.torque)
-            stepped = time.perf_counter()
-            worlds.seconds["control"] += decided - began
-            worlds.seconds["physics"] += stepped - decided
-            began = stepped
-            readings.append(worlds.reading)
-            if (i + 1) % between == 0:
-                snapshots.append(worlds.snapshot())
-                if progress is not None:
-                    progress((i + 1) * dt)
-        _, last = control.chain.jacobian(worlds.q.nan_to_num(0.0, 0.0, 0.0), ret_eef_pose=True)
-        poses.append(_in_plane(control, last))
-        force = worlds.force(*(np.stack(part, 1) for part in zip(*readings, strict=True)))
-        force[..., 2] -= lwr.SHOVEL_MASS * GRAVITY
-        load = force[:, -max(1, round(WEIGHING / dt)) :, 2].mean(-1)
-    return Recording(
-        pose=torch.stack(poses, 1),
-        force=force,
-        torque=torch.stack(torques, 1),
-        stiffness=s.clone(),
-        load=load,
-        snapshots=torch.stack(snapshots, 1),
-        failed=worlds.failed,
-    )
+            trials.step(reference[:, i + 1], rates[:, i], s[:, i])
+            if progress is not None and (i + 1) % round(SNAPSHOT / dt) == 0:
+                progress((i + 1) * dt)
+        return trials.recording()
 
 
 def _in_plane(control: CartesianImpedance, pose: Tensor) -> Tensor:

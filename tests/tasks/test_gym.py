@@ -156,3 +156,17 @@ def test_without_gymnasium_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"'gymnasium'.*torchds\[baselines\]"):
         runpy.run_path(str(Path(tasks.gym.__file__)))
+
+
+@EVERY
+@pytest.mark.slow
+def test_pictures_show_the_motion_so_far(name, env_of, actions_of):
+    env = tasks.gym.TaskEnv(env_of(name).trials.task, render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    for action in actions_of(name)[:8, 0]:
+        env.step(action)
+    later = env.render()
+    assert first.shape == later.shape == (480, 480, 3) and first.dtype == np.uint8
+    assert (first != later).any(-1).sum() > 20
+    assert env_of(name).render() is None
