@@ -37,7 +37,7 @@ from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.experiment import Digging
 from train.paper.figures.command import Figures
-from train.view import View
+from train.view.command import View
 
 
 def given(arguments: Sequence[str]) -> set[str]:

@@ -59,11 +59,12 @@ class Arm:
         row = [self.description.stem, *(f"{value:.2f}" for value in numbers), str(found.cut), f"{found.call:.0f}"]
         print(markdown(HEADER, [row], "lrrrrrr"))
         if self.browser:
-            from train.browser.page import Page, show
-            from train.browser.shapes import Shapes
-            from train.browser.takes import of_arm
+            from train.view.page import Page, show
+            from train.view.shapes import Shapes
+            from train.view.takes import of_arm
 
-            show(Page(self.description.stem, of_arm(found), Shapes(mine.model), port=self.port, look=AROUND))
+            takes = of_arm(found.times, found.qpos, found.tool, found.wanted)
+            show(Page(self.description.stem, takes, Shapes(mine.model), port=self.port, look=AROUND))
 
 
 class Followed(NamedTuple):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import tasks
-from train.browser.takes import of_digging, of_motion
+from train.view.takes import of_digging, of_motion
 
 
 def test_a_motion_in_the_plane_lies_on_the_floor_and_has_a_take_for_each_start():

@@ -11,8 +11,8 @@ from tests import chromium
 mujoco = pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 
-from train.browser.page import Page, Take  # noqa: E402
-from train.browser.shapes import Shapes  # noqa: E402
+from train.view.page import Page, Take  # noqa: E402
+from train.view.shapes import Shapes  # noqa: E402
 
 SCENE = """<mujoco><worldbody>
   <geom type="plane" size="1 1 .1"/>

@@ -13,12 +13,12 @@ import tyro
 
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
-from train.browser.page import Page
-from train.browser.page import show as show_page
-from train.browser.takes import of_digging, of_motion
 from train.folder import OPTIONS, POLICY, RunFolder
 from train.learning.learner import Learner
 from train.options import RunOptions, options_for
+from train.view.page import Page
+from train.view.page import show as show_page
+from train.view.takes import of_digging, of_motion
 
 if TYPE_CHECKING:
     from tasks.digging.gravel import Gravel
@@ -88,7 +88,7 @@ class View:
         if self.task != "lwr_digging":
             return Page(self.task, of_motion(task, policies), port=self.port)
         from tasks.digging.rendering import picture_model
-        from train.browser.shapes import Shapes
+        from train.view.shapes import Shapes
 
         print(f"{self.trials * len(policies)} trials, then the page opens ...")
         takes = of_digging(task, policies, self.trials)

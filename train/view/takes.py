@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,10 +11,7 @@ from torch import Tensor
 
 from tasks.base import Task
 from torchds import GMRPolicy, Rollout
-from train.browser.page import Take
-
-if TYPE_CHECKING:
-    from train.hardware.arm import Followed
+from train.view.page import Take
 
 MOMENTS = 200  # at most, along a motion
 
@@ -57,11 +54,17 @@ def of_digging(task: Any, policies: Mapping[str, GMRPolicy], trials: int) -> lis
     return takes
 
 
-def of_arm(found: Followed) -> list[Take]:
-    """The motion that an arm followed."""
-    paths = {"reference": found.wanted, "tool": found.tool}
-    behind = {"behind the reference [mm]": 1e3 * np.linalg.norm(found.wanted - found.tool, axis=-1)}
-    return [Take("impedance control", "1", found.times, found.qpos, paths, behind)]
+def of_arm(times: np.ndarray, qpos: np.ndarray, tool: np.ndarray, wanted: np.ndarray) -> list[Take]:
+    """A motion that an arm followed.
+
+    Args:
+        times: `(F,)` [s].
+        qpos: `(F, nq)` generalised positions of its model.
+        tool: `(F, 3)` where the tool was [m].
+        wanted: `(F, 3)` where it should have been [m].
+    """
+    behind = {"behind the reference [mm]": 1e3 * np.linalg.norm(wanted - tool, axis=-1)}
+    return [Take("impedance control", "1", times, qpos, {"reference": wanted, "tool": tool}, behind)]
 
 
 @torch.no_grad()

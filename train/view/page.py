@@ -13,7 +13,7 @@ import numpy as np
 from torchds.errors import MissingPackageError
 
 if TYPE_CHECKING:
-    from train.browser.shapes import Shapes
+    from train.view.shapes import Shapes
 
 Point = tuple[float, float, float]
 PER_SECOND = 20  # pictures while it plays
@@ -141,7 +141,7 @@ class Page:
         scene.add_grid("/floor", 8 * size, 8 * size, cell_size=0.2 * size, section_size=size)
         self._solids, self._rounds = [], None
         if self._shapes is not None:
-            from train.browser.shapes import ball
+            from train.view.shapes import ball
 
             for i, (vertices, faces, colour) in enumerate(self._shapes.solids):
                 self._solids.append(scene.add_mesh_simple(f"/scene/{i}", vertices, faces, color=_bytes(colour)))

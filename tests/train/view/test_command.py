@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from torchds.errors import InvalidArgumentError, MissingPackageError
-from train import view
 from train.options import options_for
-from train.view import NoDisplayError, View
+from train.view import command as view
+from train.view.command import NoDisplayError, View
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_the_page_of_any_task_has_the_policy_before_learning(monkeypatch):
 
 
 def test_a_page_without_its_package_says_which_extra_brings_it(monkeypatch):
-    from train.browser import page
+    from train.view import page
 
     monkeypatch.setattr(page.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"torchds\[view\]"):

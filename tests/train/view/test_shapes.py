@@ -9,7 +9,7 @@ from torchds.impedance import arm
 mujoco = pytest.importorskip("mujoco")
 pytest.importorskip("trimesh")
 
-from train.browser.shapes import Shapes  # noqa: E402
+from train.view.shapes import Shapes  # noqa: E402
 
 SCENE = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
   <body><joint axis="0 1 0"/><geom type="box" size=".1 .2 .3" pos="1 0 0"/><geom size=".2" rgba="1 0 0 0"/></body>
