@@ -26,6 +26,7 @@ try:
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse
     from matplotlib.path import Path as Outline
+    from matplotlib.patheffects import AbstractPathEffect, withStroke
     from matplotlib.ticker import Formatter, LogLocator, MaxNLocator
 except ImportError as error:
     raise MissingPackageError("matplotlib", "plot", "drawing figures") from error
@@ -122,11 +123,14 @@ def trajectories(axes: Axes, x: Array, *, color: str, label: str, lw: float = 2.
 
 def markers(axes: Axes, starts: Array, goal: Array, via_points: Mapping[str, Array]) -> None:
     """Starts as squares, the goal as a star, sets of via-points as circles with a cross of their own in each set."""
-    axes.plot(*shown(axes, "starts", starts).T, "s", color="black", ms=8, zorder=7, label="start")
-    axes.plot(*shown(axes, "a goal", goal)[:, None], "*", color="black", ms=14, zorder=7, label="goal")
+    rim: list[AbstractPathEffect] = [withStroke(linewidth=3.5, foreground="white")]  # they are seen on dark maps too
+    axes.plot(*shown(axes, "starts", starts).T, "s", color="black", ms=8, zorder=7, label="start", path_effects=rim)
+    axes.plot(
+        *shown(axes, "a goal", goal)[:, None], "*", color="black", ms=14, zorder=7, label="goal", path_effects=rim
+    )
     for i, (name, points) in enumerate(via_points.items()):
         (line,) = axes.plot(*shown(axes, "via-points", points).T, ls="", ms=11, mew=1.5, zorder=7, label=name)
-        line.set(marker=crossed(i), markerfacecolor="none", markeredgecolor="black")
+        line.set(marker=crossed(i), markerfacecolor="none", markeredgecolor="black", path_effects=rim)
 
 
 def crossed(i: int) -> Outline:
@@ -179,9 +183,12 @@ def frames(axes: Axes, x: Array, goal: Array, *, size: float, n: int = 8) -> Non
     step = states.diff(dim=0) * states.new_tensor([1.0, 1.0, 1.0, size, size, size])
     way = torch.cat([step.new_zeros(1), torch.linalg.vector_norm(step, dim=-1).cumsum(0)])
     chosen = states[(torch.linspace(0, 1, n).to(way)[:, None] * way[-1] - way).abs().argmin(-1)]
-    for position, matrix in zip(chosen[:, :3], poses.matrix(chosen, real("goal", goal).detach().cpu()), strict=True):
-        for direction, color in zip(matrix.T, FRAME, strict=True):
-            axes.plot(*torch.stack([position, position + size * direction]).T, color=color, lw=1.5, zorder=6)
+    turned = poses.matrix(chosen, real("goal", goal).detach().cpu())
+    for i, (position, matrix) in enumerate(zip(chosen[:, :3], turned, strict=True)):
+        for direction, color, name in zip(matrix.T, FRAME, "xyz", strict=True):
+            ends = torch.stack([position, position + size * direction])
+            label = f"{name} of the tool" if i == 0 else "_nolegend_"
+            axes.plot(*ends.T, color=color, lw=1.5, zorder=6, label=label)
 
 
 def walls(axes: Axes, segments: Array) -> None:
