@@ -1,9 +1,11 @@
+import sys
+
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import torchds
-from torchds.errors import FileError, InvalidArgumentError
+from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
 from torchds.monitor import Callback, TensorBoard
 
 WALK = torch.linspace(0, 1, 6, dtype=torch.float64)[:, None]
@@ -102,3 +104,11 @@ def test_motions_are_drawn_at_the_beginning_and_every_few_updates(tmp_path):
 def test_pictures_every_zero_updates_are_refused(tmp_path):
     with pytest.raises(InvalidArgumentError, match="every has to be a number of updates, at least 1, got 0"):
         TensorBoard(tmp_path, every=0)
+
+
+def test_without_tensorboard_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "torchds.monitor.events", raising=False)
+    monkeypatch.delattr(torchds.monitor, "events", raising=False)
+    monkeypatch.setitem(sys.modules, "tensorboard.compat.proto.event_pb2", None)
+    with pytest.raises(MissingPackageError, match=r"'tensorboard'.*pip install 'torchds\[monitor\]'"):
+        TensorBoard(tmp_path)
