@@ -23,8 +23,9 @@ def test_each_picture_has_its_command_and_says_what_to_see(section):
     assert len(section.split(f"({file})")[1].strip()) > 80
 
 
-def test_the_pictures_of_the_site_are_small_together():
-    assert sum(path.stat().st_size for path in DOCS.glob("*.png")) < 1_500_000
+def test_the_pictures_of_the_page_are_small_together():
+    pictures = {DOCS / file for file in re.findall(r"!\[.*?\]\((.*?)\)", PAGE, re.S)}
+    assert len(pictures) >= 8 and sum(path.stat().st_size for path in pictures) < 1_000_000
 
 
 @pytest.mark.parametrize("command", re.findall(r"^python -m train (.*)$", PAGE, re.M))
