@@ -131,25 +131,24 @@ def checkpoint(folder):
 
 
 def struck(base, times, fault, rng):
-    """Let a process die, or stand still, `times` times at any moment of a run."""
+    """Let one of two processes die at any moment, or stand still at any moment after their first update, `times` times."""
     folder = base / "struck"
     arguments = ["-m", "train", *COMMAND, str(folder), "--patience", "5"]
     launcher = begin(torchrun(2, *arguments, max_restarts=times + 5, monitor_interval=0.1))
-    done, hit = 0, set()
+    done, group, due = 0, {}, 0.0
     while launcher.poll() is None:
-        known = checkpoint(folder)
-        if done < times:
-            if known:  # the processes at work, and a moment between two checkpoints or before the first
-                time.sleep(rng.uniform(0.0, 1.5))
-            alive = workers(launcher)
-            rank = rng.randrange(2)
-            if len(alive) == 2 and alive[rank] not in hit:
-                fresh = not (hit & set(alive.values()))
-                if fresh and (checkpoint(folder) != known or rng.random() < 0.02):
-                    os.kill(alive[rank], fault)
-                    hit |= set(alive.values())
-                    done += 1
         time.sleep(0.05)
+        alive = workers(launcher)
+        if (
+            done < times and len(alive) == 2 and not set(alive.values()) & set(group.values())
+        ):  # they have just been started
+            group, known = alive, checkpoint(folder)
+            due = time.monotonic() + rng.uniform(0.0, 8.0) if fault == signal.SIGKILL else None
+        if due is None and checkpoint(folder) != known:
+            due = time.monotonic() + rng.uniform(0.0, 1.5)
+        if due and time.monotonic() > due and alive == group:
+            os.kill(alive[rng.randrange(2)], fault)
+            done, due = done + 1, 0.0
     return done, launcher.returncode, folder
 
 

@@ -19,7 +19,7 @@ from torchds.optim import sharded
 from train.learning.learner import Learner
 from train.searchers.base import Closure
 
-JOINING = 1800.0  # s that processes may be apart when they begin: in imports, fits, and the first trial
+JOINING = 600.0  # s that processes may at least be apart when they begin: in imports, fits, and the first trial
 
 
 class Processes:
