@@ -26,6 +26,7 @@ SHARES = (1.0, 0.99, 0.95, 0.9, 0.8, 0.5)
 STALENESS = (0, 1, 2, 4, 8)
 BETWEEN = {"an hour": 3600.0, "a day": 86400.0, "a month": 30 * 86400.0}
 """Mean time between two failures of one worker [s]."""
+NEVER = 1e6  # s
 HEAD = (
     "",
     "processes",
@@ -64,6 +65,10 @@ class Scale:
     """simulate: what a restart of all processes takes [s]."""
     rollout: tuple[float, float] | None = None
     """simulate: mean time of a roll-out [s] and standard deviation of its logarithm; if not given, digging is timed here."""
+    size: float = 180e3
+    """simulate: what a process sends in an update [bytes]; scale measure says how many they are."""
+    network: tuple[float, float] = (50e-6, 1e9)
+    """simulate: latency of a message [s], and bytes that a process sends in a second."""
     logdir: Path = field(default_factory=lambda: Path("logs"))
     """Where to write: LOGDIR/scale/."""
 
@@ -118,13 +123,9 @@ class Scale:
 
     def simulate(self) -> tuple[str, Figure]:
         """Tables and figure of many workers."""
-        rng = np.random.default_rng(0)
         times = self.times()
         waits = {
-            (between, workers): [
-                float(np.mean(update_seconds(failing, workers, share, self.patience, self.drawn(workers), rng)))
-                for share in SHARES
-            ]
+            (between, workers): [self.waits(failing, workers, share) for share in SHARES]
             for between, failing in self.failing(times).items()
             for workers in self.workers
         }
@@ -148,9 +149,10 @@ class Scale:
             )
         return "\n\n".join(parts) + "\n", draw(waits, learned)
 
-    def drawn(self, workers: int) -> int:
-        """How many updates are drawn: fewer of many workers, whose sum varies less."""
-        return max(50, min(2000, 10_000_000 // workers))
+    def waits(self, times: Times, workers: int, share: float, patience: float | None = None) -> float:
+        """The mean wait of an update [s], over fewer updates of many workers, since these vary less."""
+        updates, rng = max(50, min(5000, 10_000_000 // workers)), np.random.default_rng(0)
+        return float(np.mean(update_seconds(times, workers, share, patience or self.patience, updates, rng)))
 
     def times(self) -> Times:
         """Those of the digging, tried here, one after the other; or those that were given."""
@@ -164,9 +166,10 @@ class Scale:
 
     def restarted(self, workers: int, between: str, times: Times) -> str:
         """Mean time until an update was made in one go, where each failure of a worker restarts all of them."""
-        whole = float(np.mean(update_seconds(times, workers, 1.0, np.inf, 200, np.random.default_rng(1))))
+        whole = self.waits(times, workers, 1.0, np.inf)
         rate = workers / BETWEEN[between]  # of failures, of which none may come for the time `whole`
-        return f"{(1 / rate + self.restart) * np.expm1(rate * whole):.3g}"
+        seconds = (1 / rate + self.restart) * np.expm1(rate * whole)
+        return f"{seconds:.3g}" if seconds < NEVER else "never"
 
     def learned(self) -> dict[str, tuple[tuple[float, ...], dict[str, list[np.ndarray]]]]:
         """Final costs on N of both learners, by the share that comes in time and by the age of the parameters."""
@@ -188,17 +191,21 @@ def draw(waits: dict[tuple[str, int], list[float]], learned: dict[str, Any]) -> 
     figure = Figure(figsize=(13, 4), layout="constrained")
     axes = figure.subplots(1, 3)
     styles = dict(zip(BETWEEN, ("-", "--", ":"), strict=True))
-    workers = sorted({n for _, n in waits})
+    workers, left = sorted({n for _, n in waits}), [100 * (1 - share) for share in SHARES]
     for (between, n), row in waits.items():
         name = f"{n:,} workers, one fails once in {between}"
-        axes[0].plot(SHARES, row, styles[between], color=plotting.TERMS[workers.index(n)], marker=".", label=name)
-    axes[0].set(xlabel="share of the roll-outs that is waited for", ylabel="an update waits [s]", yscale="log")
+        axes[0].plot(left, row, styles[between], color=plotting.TERMS[workers.index(n)], marker=".", label=name)
+    axes[0].set(xlabel="roll-outs left behind [%]", ylabel="an update waits [s]", yscale="log")
+    axes[0].set_xscale("symlog", linthresh=1)
     for panel, (what, (values, rows)) in zip(axes[1:], learned.items(), strict=True):
         for i, (name, costs) in enumerate(rows.items()):
             low, middle, high = quartiles(np.stack(costs), axis=1)
-            panel.plot(values, middle, color=plotting.TERMS[i], marker=".", label=name)
-            panel.fill_between(values, low, high, color=plotting.TERMS[i], alpha=0.15, lw=0)
-        panel.set(xlabel=what.partition("by ")[2], ylabel="final cost on N", yscale="log")
+            x = left if what.endswith("min_share") else values
+            panel.plot(x, middle, color=plotting.TERMS[i], marker=".", label=name)
+            panel.fill_between(x, low, high, color=plotting.TERMS[i], alpha=0.15, lw=0)
+        panel.set(ylabel="final cost on N", yscale="log")
+    axes[1].set(xlabel="roll-outs left behind [%]")
+    axes[2].set(xlabel="parameters that are tried are so many updates old")
     for panel in axes:
         panel.grid(alpha=0.3)
         panel.legend(fontsize=7)
