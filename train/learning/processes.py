@@ -7,6 +7,8 @@ one needs to tell the others only once what is run and where it stands; what it 
 from __future__ import annotations
 
 import os
+import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -93,6 +95,41 @@ def restarts() -> int:
     return int(os.environ.get("TORCHELASTIC_MAX_RESTARTS", 0))
 
 
+def agreed(store: dist.Store, rank: int, size: int, seconds: float) -> str:
+    """A name that these processes have agreed on, and none before them.
+
+    torchrun keeps one store over restarts, in which the addresses of dead processes still stand. So each process says who it
+    is, by a number of its own, the first one says whom it has found, and only what all of them confirm counts.
+
+    Raises:
+        ProcessLostError: not all have come in time.
+    """
+    me, end = uuid.uuid4().hex, time.monotonic() + seconds
+
+    def read(name: str) -> str:
+        return store.get(f"torchds {name}").decode() if store.check([f"torchds {name}"]) else ""
+
+    def write(name: str, value: str) -> None:
+        store.set(f"torchds {name}", value)
+
+    write(f"hello {rank}", me)
+    while time.monotonic() < end:
+        if rank == 0:
+            found = " ".join(read(f"hello {other}") for other in range(size))
+            write("found", found)
+            if all(read(f"confirmed {other}") == found for other in range(1, size)):
+                write("agreed", found)
+        found = read("found")
+        if me in found.split() and rank:
+            write(f"confirmed {rank}", found)
+        if me in (name := read("agreed")).split():
+            return name
+        time.sleep(0.02)
+    raise ProcessLostError(
+        f"process {rank} of {size} has not met all others within {seconds:g} s; begin them all again"
+    )
+
+
 @contextmanager
 def joined(patience: float) -> Iterator[Processes]:
     """The processes that torchrun started, joined while the block runs; those that are joined already stay so.
@@ -106,7 +143,10 @@ def joined(patience: float) -> Iterator[Processes]:
     if int(os.environ.get("WORLD_SIZE", 1)) == 1:
         yield Processes()
         return
-    dist.init_process_group("gloo", timeout=timedelta(seconds=max(patience, JOINING)))
+    seconds = max(patience, JOINING)
+    store, rank, size = next(iter(dist.rendezvous("env://", timeout=timedelta(seconds=seconds))))
+    mine = dist.PrefixStore(agreed(store, rank, size, seconds), store)
+    dist.init_process_group("gloo", store=mine, rank=rank, world_size=size, timeout=timedelta(seconds=seconds))
     try:
         yield Several(patience)
     finally:

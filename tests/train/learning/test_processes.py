@@ -2,6 +2,8 @@
 
 import os
 import signal
+import threading
+import time
 
 import pytest
 import torch.distributed as dist
@@ -9,9 +11,9 @@ import torch.distributed as dist
 from tests.faults.ranks import differing, outcome
 from tests.forked import forked
 from tests.motions import Short
-from torchds.errors import InvalidArgumentError
+from torchds.errors import InvalidArgumentError, ProcessLostError
 from train.learning import run as run_module
-from train.learning.processes import Processes, joined
+from train.learning.processes import Processes, agreed, joined
 from train.options import RunOptions, options_for
 
 CASES = {
@@ -98,3 +100,18 @@ def test_a_command_with_a_folder_can_be_given_again(short, tmp_path, capsys):
     assert not differing(before, outcome(tmp_path / "mine"))
     with pytest.raises(InvalidArgumentError, match=r"--folder .* cannot take --rollouts 3"):
         run_module.run(options(tmp_path / "mine", rollouts=3))
+
+
+def test_addresses_of_dead_processes_are_not_believed():
+    store, names = dist.HashStore(), {}
+    for name in ("hello 1", "found", "confirmed 1", "agreed"):  # what those before have left
+        store.set(f"torchds {name}", "dead")
+    first = threading.Thread(target=lambda: names.update({0: agreed(store, 0, 2, 20.0)}))
+    first.start()
+    time.sleep(0.2)
+    assert not names  # the second is not there
+    names[1] = agreed(store, 1, 2, 20.0)
+    first.join()
+    assert names[0] == names[1] and "dead" not in names[0]
+    with pytest.raises(ProcessLostError, match="process 1 of 2 has not met all others"):
+        agreed(store, 1, 2, 0.1)
