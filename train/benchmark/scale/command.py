@@ -16,7 +16,7 @@ from torchds import files, plotting
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.benchmark.scale import simulated
 from train.benchmark.scale.measured import CASES, Timing, timed
-from train.benchmark.scale.simulated import Times, lossy, stale, update_seconds
+from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
 from train.folder import new_folder, versions, write_text
 from train.options import LEARNERS, options_for
 from train.statistics import median, quartiles, summary
@@ -136,10 +136,11 @@ class Scale:
                 between,
                 *(f"{seconds:.3g}" for seconds in row),
                 self.restarted(workers, between, times),
+                f"{gather_seconds(workers, self.size, *self.network):.3g}",
             ]
             for (between, workers), row in waits.items()
         ]
-        head = ("workers", "one fails once in", *(f"{share:g}" for share in SHARES), "with restarts")
+        head = ("workers", "one fails once in", *(f"{share:g}" for share in SHARES), "all, with restarts", "gather")
         said = f"A roll-out takes {times.mean:.3g} s; the logarithm of its time has a standard deviation of {times.spread:.3g}."
         parts = [said, f"Seconds until a share of the roll-outs has come:\n\n{markdown(head, lines)}"]
         for what, row in learned.items():
@@ -193,10 +194,14 @@ def draw(waits: dict[tuple[str, int], list[float]], learned: dict[str, Any]) -> 
     styles = dict(zip(BETWEEN, ("-", "--", ":"), strict=True))
     workers, left = sorted({n for _, n in waits}), [100 * (1 - share) for share in SHARES]
     for (between, n), row in waits.items():
-        name = f"{n:,} workers, one fails once in {between}"
+        name = f"{n:,} workers" if between == next(iter(BETWEEN)) else None
         axes[0].plot(left, row, styles[between], color=plotting.TERMS[workers.index(n)], marker=".", label=name)
+    for between, style in styles.items():
+        axes[0].plot([], [], style, color="gray", label=f"one fails once in {between}")
     axes[0].set(xlabel="roll-outs left behind [%]", ylabel="an update waits [s]", yscale="log")
     axes[0].set_xscale("symlog", linthresh=1)
+    axes[0].set(xlim=(-0.1, 70), xticks=left, xticklabels=[f"{share:.0f}" for share in left])
+    axes[0].minorticks_off()
     for panel, (what, (values, rows)) in zip(axes[1:], learned.items(), strict=True):
         for i, (name, costs) in enumerate(rows.items()):
             low, middle, high = quartiles(np.stack(costs), axis=1)
