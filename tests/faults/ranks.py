@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -43,8 +42,7 @@ CASES = {
     "N, Adam": ("via_point", {"optimizer": "adam", **NOISY}),
     "digging, PIBB": ("lwr_digging", {"runs": 1, "grains": "coarse", "seconds": 3.0, "rollouts": 4, "updates": 2}),
 }
-COMMAND = ["via_point", "--shape", "N", "--runs", "2", "--cost-noise", "0.1"]
-UPDATES = {"kill": 400, "hang": 400, "resize": 400, "elastic": 3000}
+COMMAND = ["via_point", "--shape", "N", "--runs", "2", "--updates", "400", "--cost-noise", "0.1", "--folder"]
 
 
 def outcome(folder):
@@ -171,59 +169,6 @@ def resized(base, times, rng):
         done += 1
 
 
-def elastic(base, times, rng):
-    """Let one torchrun of up to three die with its process, and come again, while the first goes on."""
-    folder, done, others = base / "elastic", 0, []
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    launch = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--nnodes=1:3",
-        "--nproc-per-node=1",
-        "--monitor-interval=0.1",
-    ]
-    launch += [
-        "--rdzv-backend=c10d",
-        f"--rdzv-endpoint=localhost:{port}",
-        "--rdzv-id=torchds",
-        f"--max-restarts={9 * times}",
-    ]
-    command = [
-        *launch,
-        "--rdzv-conf=last_call_timeout=1,keep_alive_interval=1",
-        "-m",
-        "train",
-        *COMMAND,
-        str(folder),
-        "--patience",
-        "60",
-    ]
-    first, known, sizes = begin(command), 0, set()
-    while first.poll() is None:
-        time.sleep(0.2)
-        others = [other for other in others if other.poll() is None]
-        if checkpoint(folder) in (0, known) or done == times:  # nothing has been learned since
-            continue
-        known, alive = checkpoint(folder), [other for other in others if workers(other)]
-        sizes.add(1 + len(alive))
-        if len(others) < 2 and (not alive or rng.random() < 0.5):
-            others.append(begin(command))
-        elif alive:
-            one = rng.choice(alive)
-            for pid in workers(one).values():
-                os.kill(pid, signal.SIGKILL)
-            one.kill()
-            one.wait()
-            done += 1
-            print(f"{done} died, numbers of processes so far: {sorted(sizes)}", flush=True)
-    for other in others:
-        other.wait()
-    return done, first.returncode, folder
-
-
 def main():
     """Do what the command line says; exit code 1 if anything differs."""
     what, *rest = sys.argv[1:]
@@ -234,11 +179,10 @@ def main():
         if what == "equal":
             return equal(base, [int(size) for size in rest])
         began = time.monotonic()
-        COMMAND.extend(["--updates", str(UPDATES[what]), "--folder"])
         subprocess.run([sys.executable, "-m", "train", *COMMAND, str(base / "alone")], cwd=ROOT, check=True)
         once = time.monotonic() - began
-        if what in ("resize", "elastic"):
-            done, code, folder = {"resize": resized, "elastic": elastic}[what](base, int(rest[0]), rng)
+        if what == "resize":
+            done, code, folder = resized(base, int(rest[0]), rng)
         else:
             fault = {"kill": signal.SIGKILL, "hang": signal.SIGSTOP}[what]
             done, code, folder = struck(base, int(rest[0]), fault, rng)
