@@ -122,29 +122,53 @@ def _pushed(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
     return total
 
 
+def _compare(whole: Gravel, gravel: Gravel, n: int) -> None:
+    """Print medians over `n` trials in both beds, in turns, and the p-value of a two-sided Mann-Whitney test."""
+    import scipy.stats
+
+    pairs = []
+    for seed in range(n):
+        pairs.append([trials(bed, [seed]) for bed in (whole, gravel)])
+        spent = [round(float(np.mean([pair[i][1] for pair in pairs])), 2) for i in (0, 1)]
+        print(f"{seed + 1} of {n}: processor time of a roll-out {spent[0]} and {spent[1]} s", flush=True)
+    for name in ("load", "force", "total"):
+        before, after = (np.concatenate([pair[i][0][name] for pair in pairs]) for i in (0, 1))
+        for s, a, b in zip(STIFFNESSES, before.T, after.T, strict=True):
+            p = scipy.stats.mannwhitneyu(a, b).pvalue
+            print(f"| {name}, {s:g} N/m | {np.median(a):.3g} | {np.median(b):.3g} | {p:.2f} |")
+
+
+def _time() -> None:
+    """Print what eight roll-outs on two threads take, the second time, and what of it the controller."""
+    task = LwrDigging(initial_stiffness=300.0, threads=2)
+    policy = task.policy().expand(8)
+    task.rollout(policy)
+    before, wall, processor = task.wall_seconds, time.perf_counter(), time.process_time()
+    task.rollout(policy)
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    control = task.wall_seconds["control"] - before["control"]
+    print(
+        f"8 roll-outs on two threads: {wall:.1f} s, of it {control / wall:.0%} control; {processor:.1f} s of processors"
+    )
+
+
 def _spread(values: list[float] | np.ndarray) -> str:
     return f"{np.mean(values):.1f} ± {np.std(values, ddof=1):.1f}"
 
 
 def main() -> None:
     """Print what is asked for."""
-    import scipy.stats
-
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--same", type=int, default=0, metavar="N", help="compare N trials with the bed as it was")
-    same = parser.parse_args().same
+    parser.add_argument("--time", action="store_true", help="time eight roll-outs on two threads")
+    asked = parser.parse_args()
     torch.set_num_threads(1)
     gravel = Gravel()
     whole = replace(gravel, n_grains=366, box=(0.50, 1.00), sleep=0.0)  # a wider box, always awake
-    if same:
-        pairs = [[trials(bed, [seed]) for bed in (whole, gravel)] for seed in range(same)]  # in turns
-        print(f"processor time of a roll-out: {[round(float(np.mean([p[i][1] for p in pairs])), 2) for i in (0, 1)]} s")
-        for name in ("load", "force", "total"):
-            before, after = (np.concatenate([pair[i][0][name] for pair in pairs]) for i in (0, 1))
-            for s, a, b in zip(STIFFNESSES, before.T, after.T, strict=True):
-                p = scipy.stats.mannwhitneyu(a, b).pvalue
-                print(f"| {name}, {s:g} N/m | {np.median(a):.3g} | {np.median(b):.3g} | {p:.2f} |")
-        return
+    if asked.same:
+        return _compare(whole, gravel, asked.same)
+    if asked.time:
+        return _time()
     for what, sleep in (("angle of repose [°]", gravel.sleep), ("the same, never asleep", 0.0)):
         slopes = [repose(replace(gravel, sleep=sleep), k) for k in range(5)]
         print(f"| {what} | {_spread(slopes)} | {REPOSE[0]:g} to {REPOSE[1]:g} |")

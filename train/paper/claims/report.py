@@ -109,7 +109,7 @@ def page(rows: Sequence[Judged], runs: int, command: str) -> str:
         "holds within the bounds beside it; cases that can be counted hold if all do, unless said. A claim is held if all of "
         f"its checks (+) hold, held in part if some do, and not held if none does. There are {n_tests} tests on this page, and "
         f"p is not corrected for that.{caution(runs)} The tasks fill in what the paper leaves out: geometry, via-points and "
-        "demonstrations are our own. The digging rows are of a simulated robot, one learning run from each stiffness and five "
-        "trials.\n\n"
+        "demonstrations are our own. The digging rows are of a simulated robot: of uniform stiffness each trial is a "
+        "sample, of what was learned each run, by the mean of five trials on beds that it has not met.\n\n"
         "## Claims\n\n" + tables.markdown(HEADER, table) + "\n"
     )
