@@ -16,10 +16,10 @@ from tasks.digging.worlds import COARSE, Worlds
 @pytest.mark.slow
 def test_the_number_of_threads_changes_no_bit_and_neither_does_a_second_use():
     """Beds that sleep and wake keep a state of their own, which a reset has to take back."""
-    reference = scoop(4.0)[:500]
+    reference = scoop(2.4)[:300]
     s = torch.tensor([75.0, 300.0, 450.0])
     worlds = Worlds(COARSE, 3, 1)
-    dig(worlds, reference[:400], s.flip(0), [7, 8, 9])
+    dig(worlds, reference[:240], s.flip(0), [7, 8, 9])
     one, two = (dig(each, reference, s, [5, 6, 7]) for each in (worlds, Worlds(COARSE, 3, 2)))
     alone = dig(Worlds(COARSE, 1), reference, s[1:2], [6])
     assert one.force[..., 2].abs().max() > 1.0  # it has touched the gravel
