@@ -16,11 +16,7 @@ os.environ |= {
     "PYTHONWARNINGS": "ignore",
 }
 
-from jupyter_client.connect import ConnectionFileMixin  # noqa: E402
-
 import torchds  # noqa: E402
-
-ConnectionFileMixin.transport.default_value = "ipc"  # the kernels of the tutorials listen to no port
 
 project = "torchds"
 author = "the torchds authors"
