@@ -26,7 +26,7 @@ START = torch.tensor([-0.12, -0.2, 0.1, 0.4, -0.5, 0.6], dtype=torch.float64)
 """Where the motion begins, from its goal: 0.25 m away and turned by 50 degrees, [m] and [rad]."""
 DT = 0.001
 SEEN = 20  # time steps between two pictures
-AROUND = ((1.6, -1.6, 1.2), (0.0, 0.0, 0.4))  # m, where the camera stands, and what it looks at
+AROUND = ((1.1, -1.2, 0.9), (0.25, 0.0, 0.35))  # m, where the camera stands, and what it looks at
 HEADER = ("arm", "farthest behind [mm]", "[°]", "from the goal at the end [mm]", "[°]", "torques cut", "a call [µs]")
 
 

@@ -56,17 +56,19 @@ def figure_16(experiment: Experiment) -> Made:
     for row, search in zip(figure.subplots(2, 2), SEARCHES, strict=True):
         for axes, start in zip(row, STARTS, strict=True):
             curves = history(experiment, search, start)
-            _needed(experiment, curves is not None)
-            assert curves is not None
-            draw_curves(axes, curves)
-            n = len(curves.cost[0])
+            n = 0 if curves is None else len(curves.cost[0])
+            if curves is not None:
+                draw_curves(axes, curves)
             axes.set_title(f"Digging from s⁰ = {start:g} N/m, learner {search}, {n} run(s)")
+            if curves is None:
+                continue
             first, last = ({name: median(v[i]) for name, v in curves.terms.items()} for i in (0, -1))
             terms = ", ".join(f"{name} {first[name]:.2f} → {last[name]:.2f}" for name in first if name != "control")
             lines.append(
                 f"- {search}, {start:g} N/m, {n} run(s): {median(curves.cost[0]):.2f} → "
                 f"{median(curves.cost[-1]):.2f} ({terms})."
             )
+    _needed(experiment, bool(lines))
     return Made(
         figure,
         "Cost of the policy without noise after each update of eight roll-outs, by terms: medians and quartiles over learning "
