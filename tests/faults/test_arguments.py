@@ -286,6 +286,7 @@ CASES = {
         {"goal": GOAL},
     ),
     "plotting.limits": (lambda tracks: torch.tensor(plotting.limits(tracks)), {"tracks": PATH}),
+    "plotting.small_map": (lambda tracks: torch.tensor(plotting.small_map(tracks)[1].axis()), {"tracks": PATH}),
     "plotting.shown": (lambda x: plotting.shown(Figure().add_subplot(), "x", x), {"x": PATH}),
     "plotting.trajectories": (
         lambda x: drawn(lambda axes: plotting.trajectories(axes, x, color="red", label="x")),
@@ -365,7 +366,8 @@ ANY_LENGTH = {
     ("optim.functional.cost_weights", "costs"), ("optim.functional.relative_costs", "costs"),
     ("optim.functional.informative", "costs"), ("mending.Mending.from_samples", "positions"),
     ("demonstrations.Demonstrations", "stiffness"), ("poses.quaternion", "x"), ("poses.matrix", "x"),
-    ("poses.angular_velocity", "x"), ("plotting.limits", "tracks"), ("plotting.shown", "x"), ("plotting.trajectories", "x"),
+    ("poses.angular_velocity", "x"), ("plotting.limits", "tracks"), ("plotting.small_map", "tracks"),
+    ("plotting.shown", "x"), ("plotting.trajectories", "x"),
     ("plotting.markers", "starts"), ("plotting.markers", "goal"), ("plotting.walls", "segments"),
     ("poses.angular_velocity", "v"), ("preparation.Preparation.with_stiffness", "value"),
 }  # fmt: skip

@@ -188,7 +188,7 @@ def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(run, extras
     digging = {f"tasks.digging.{path.stem}".removesuffix(".__init__"): "digging" for path in sources}
     if extras:  # every command can be chosen; what it needs beside is asked for when it runs
         robot = {"train.hardware.trial": "digging"}
-        later = {**robot, "train.deep_rl.agents": "baselines"}
+        later = {**robot, "train.deep_rl.agents": "baselines", "train.view.shapes": "digging"}
     else:
         later = {name: "train" for name in named if name.split(".")[0] == "train"}
         assert "train.__main__" in later

@@ -40,6 +40,7 @@ ALLOWED = {
     "torchds/archives.py": {"os.open", "os.fdopen", "os.replace"},  # what this is about
     "torchds/locks.py": {"os.open"},  # an empty file beside what it locks
     "torchds/monitor/events.py": {"os.open", "os.fdopen"},  # grows; a checkpoint says how long it was
+    "train/compare/sweep/claims.py": {"os.open", "os.fdopen"},  # a file that one worker alone can make
     "train/__main__.py": {"open"},  # the null device, for a pipe that was closed
 }
 

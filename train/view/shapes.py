@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 import scipy.spatial.transform
-import trimesh
+
+from torchds.errors import MissingPackageError
+
+try:
+    import mujoco
+except ImportError as error:
+    raise MissingPackageError("mujoco", "digging", "a page with a scene") from error
+try:
+    import trimesh  # viser brings it
+except ImportError as error:
+    raise MissingPackageError("trimesh", "view", "a page with a scene") from error
 
 ROUND = (int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 MADE = {
