@@ -92,10 +92,9 @@ class Shapes:
     def _bones_at(self) -> tuple[Pose, Pose]:
         ends = self._data.xpos[np.array(self._bones)]  # (bones, 2, 3)
         along = ends[:, 1] - ends[:, 0]
-        turns = [scipy.spatial.transform.Rotation.align_vectors(each[None], [[0, 0, 1]])[0] for each in along]
-        wxyz = np.stack([turn.as_quat(scalar_first=True) for turn in turns])
+        turns = np.stack([trimesh.geometry.align_vectors([0, 0, 1], each)[:3, :3] for each in along])
         still = np.tile([1.0, 0, 0, 0], (len(self._data.xpos), 1))
-        return Pose(ends.mean(1), wxyz), Pose(self._data.xpos.copy(), still)
+        return Pose(ends.mean(1), _quaternions(turns)), Pose(self._data.xpos.copy(), still)
 
 
 def ball() -> Any:
@@ -106,4 +105,4 @@ def ball() -> Any:
 def _quaternions(rotations: np.ndarray) -> np.ndarray:
     if not len(rotations):
         return np.empty((0, 4))
-    return scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat(scalar_first=True)
+    return scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]

@@ -15,7 +15,7 @@ def write(folder):
 
 
 def test_a_run_is_one_row_for_each_update_and_run(tmp_path):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", exc_type=ImportError)
     write(tmp_path)
     frame = to_dataframe(tmp_path)
     assert list(frame) == ["update", "run", "rollouts", "cost", "cost/goal"] and len(frame) == 4
@@ -25,7 +25,7 @@ def test_a_run_is_one_row_for_each_update_and_run(tmp_path):
 
 
 def test_what_tensorboard_wrote_is_a_row_for_each_step(tmp_path):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", exc_type=ImportError)
     theta = torch.nn.Parameter(torch.zeros(2))
     optim = torchds.optim.PIBB([theta], torchds.exploration.Gaussian(0.3), n_rollouts=4)
     board, seen = TensorBoard(tmp_path), []
@@ -39,13 +39,13 @@ def test_what_tensorboard_wrote_is_a_row_for_each_step(tmp_path):
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", exc_type=ImportError)
     with pytest.raises(FileError, match=r"has no results\.json and no events; give the folder of a finished run"):
         to_dataframe(tmp_path)
 
 
 def test_results_that_were_changed_are_refused(tmp_path):
-    pytest.importorskip("pandas")
+    pytest.importorskip("pandas", exc_type=ImportError)
     write(tmp_path)
     path = tmp_path / "results.json"
     path.write_text(path.read_text().replace("0.1", "0.2"))
