@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-FAST := -n 2 -m 'not slow and not gpu'
+CORES := -n 2 --dist worksteal
+FAST := $(CORES) -m 'not slow and not gpu'
 
 .PHONY: train quick test coverage oldest fuzz docs lint format release-check clean
 
@@ -13,16 +14,16 @@ quick: lint
 	$(BIN)/python -m pytest $(FAST)
 
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest $(CORES)
 
 # The same tests, and how much of torchds they reach; pyproject.toml has the floor.
 coverage: lint
-	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest $(CORES) --cov --cov-report=term:skip-covered
 
 # The property tests of tests/faults with many cases and fresh seeds; prints a table of cases and failures.
 CASES ?= 7500
 fuzz: $(VENV)/.ready
-	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest -n 2 tests/faults
+	TORCHDS_FUZZ=$(CASES) $(BIN)/python -m pytest $(CORES) tests/faults
 
 # The site in docs/_build/html: its tutorials are run, a warning is an error, and no link leads nowhere.
 docs: $(VENV)/.docs
