@@ -87,8 +87,10 @@ def figure_17(experiment: Experiment) -> Made:
     mean = np.array([sample["total"].mean() for sample in uniform])
     std = np.array([sample["total"].std(ddof=1) for sample in uniform])
     n = len(uniform[0]["total"])
-    axes.plot(UNIFORM, mean, "o-", color="#1f5fa8", label=f"uniform stiffness, mean of {n} trials")
-    axes.fill_between(UNIFORM, mean - std, mean + std, color="#1f5fa8", alpha=0.2, lw=0, label="one standard deviation")
+    axes.plot(UNIFORM, mean, "o-", color=plotting.TERMS[0], label=f"uniform stiffness, mean of {n} trials")
+    axes.fill_between(
+        UNIFORM, mean - std, mean + std, color=plotting.TERMS[0], alpha=0.2, lw=0, label="one standard deviation"
+    )
     best = best_uniform(recorded)
     lowest = means(recorded, best)["total"]
     lines = [
