@@ -66,7 +66,7 @@ class Task(ABC):
         name: in the registry and in `logs/`; the class name in snake_case if not given.
         convention: which problem of this name the class is, that of the paper or of its authors' released program.
         differentiable: whether the cost of a trial has gradients with respect to the policy.
-        exploration: what the training command takes if nothing else is said, by the name of `--exploration`.
+        defaults: what the training command takes if nothing else is said, by the names of its options.
         n_components: Gaussians of the mixture.
         covariance_floor: of its fit [unit of the task, squared]; None for a millionth of the mean variance of the data.
         search: what is proposed to whoever searches.
@@ -86,7 +86,7 @@ class Task(ABC):
     name: ClassVar[str] = ""
     convention: ClassVar[Convention] = "paper"
     differentiable: ClassVar[bool] = True
-    exploration: ClassVar[str] = "homogeneous"
+    defaults: ClassVar[Mapping[str, Any]] = {}
     n_components: ClassVar[int] = 4
     covariance_floor: ClassVar[float | None] = None
     cpu_only: ClassVar[bool] = False

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -50,7 +51,7 @@ class ConstrainedReaching(Task):
 
     name = "constrained_reaching"
     differentiable = False  # the cost jumps where a motion meets a wall; its gradient does not see the wall coming
-    exploration = "stable"
+    defaults: ClassVar[Mapping[str, Any]] = {"exploration": "stable"}
     n_components = N_COMPONENTS
     covariance_floor = PAPER_FLOOR
     search = replace(PAPER_SEARCH, n_updates=100, control_weight=1e-3, std=0.05)

@@ -52,6 +52,8 @@ def drawn(trials: Trials) -> Array:
     plotting.demonstrations(axes, task.demonstrations)
     if scene.walls is not None:
         plotting.walls(axes, scene.walls)
+    if scene.regions is not None:
+        plotting.discs(axes, *scene.regions)
     if trials.t:
         path = trials.path()
         plotting.trajectories(axes, path.reference[0], color="0.5", label="reference", lw=1.2)

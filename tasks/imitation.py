@@ -45,6 +45,13 @@ def with_stiffness(mixture: GaussianMixture, D: int, O: int, Q: int, initial: fl
     return GMRPolicy.from_mixture(mixture, D, stiffness_dim=Q, stiffness=initial)
 
 
+def with_constant_stiffness(policy: GMRPolicy, Q: int, initial: float) -> GMRPolicy:
+    """The motion of a policy that carries none, with a constant stiffness s⁰ [N/m] in Q outputs to begin with."""
+    K, D = policy.means.shape[-2:]
+    slopes, offsets = policy.A.new_zeros(K, Q, D), policy.b.new_full((K, Q), initial)
+    return GMRPolicy(policy.priors, policy.means, policy.covariances, policy.A, policy.b, slopes, offsets)
+
+
 def say_left_out(mixture: GaussianMixture, n: int, why: str) -> None:
     """Warn where a mixture has more than `n` variables."""
     if more := mixture.means.shape[-1] - n:

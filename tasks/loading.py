@@ -1,4 +1,4 @@
-"""Classes that stand anywhere: `my_file.py:Name` and `my_package.module:Name`."""
+"""What stands anywhere: classes, `my_file.py:Name` and `my_package.module:Name`, and problem files, `my_problem.json`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -17,18 +18,27 @@ T = TypeVar("T")
 
 
 def is_spec(name: str) -> bool:
-    """Whether `name` says where something stands: it has a colon."""
-    return ":" in name
+    """Whether `name` says where something stands: it has a colon, or is that of a problem file."""
+    return ":" in name or is_problem(name)
+
+
+def is_problem(name: str) -> bool:
+    """Whether `name` is that of a problem file (`tasks.sketch`), whose class is made from it."""
+    return name.endswith(".json")
 
 
 def absolute(spec: str) -> str:
     """The same with the whole path of a file, so that it holds in other folders too."""
+    if is_problem(spec):
+        return str(Path(spec).expanduser().resolve())
     where, _, name = spec.rpartition(":")
     return f"{Path(where).expanduser().resolve()}:{name}" if where.endswith(".py") else spec
 
 
 def short(spec: str) -> str:
-    """The name of the class alone, for folders and tables; other names stay what they are."""
+    """The name of the class or of the problem alone, for folders and tables; other names stay what they are."""
+    if is_problem(spec):
+        return re.sub(r"\W+", "_", Path(spec).stem).strip("_").lower() or "problem"
     return spec.rpartition(":")[2]
 
 

@@ -7,9 +7,10 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 from tasks.base import Task
-from tasks.loading import is_spec, load_object
+from tasks.loading import is_problem, is_spec, load_object
 from tasks.lwr_digging import DiggingOptions
 from tasks.settings import Convention
+from tasks.sketch.task import of_file
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
 Class = TypeVar("Class", bound=type[Task])
@@ -34,8 +35,8 @@ def register(task: Class) -> Class:
     return task
 
 
-def distinct(task: type[Task]) -> None:
-    """Refuse a task with the name of another one.
+def distinct(task: type[Task], advice: str = 'give the class another one: name = "..."') -> None:
+    """Refuse a task with the name of another one; `advice` says how it gets its own.
 
     Raises:
         InvalidArgumentError: another class has its name.
@@ -43,8 +44,7 @@ def distinct(task: type[Task]) -> None:
     other = TASKS.get(task.name, {}).get(task.convention)
     if other is not None and (other.__module__, other.__qualname__) != (task.__module__, task.__qualname__):
         raise InvalidArgumentError(
-            f"the name {task.name!r} of {task.__qualname__} belongs to {other.__module__}.{other.__qualname__}; give the class "
-            'another one: name = "..."'
+            f"the name {task.name!r} of {task.__qualname__} belongs to {other.__module__}.{other.__qualname__}; {advice}"
         )
 
 
@@ -53,8 +53,13 @@ def options_of(name: str) -> type[Task]:
 
     Raises:
         UnknownNameError: no task of this name; the message lists them.
-        InvalidArgumentError: `name` says where a class stands, and there is none.
+        InvalidArgumentError: `name` says where a class or a problem file stands, and there is none, or no good one.
+        FileError: no such problem file, or one that cannot be read.
     """
+    if is_problem(name):
+        drawn = of_file(name)
+        distinct(drawn, f"give the file {name} another one")
+        return drawn
     if is_spec(name):
         task = load_object(name, Task)  # type: ignore[type-abstract] # a base, nothing to make
         distinct(task)
@@ -65,7 +70,7 @@ def options_of(name: str) -> type[Task]:
 
 
 def task_class(name: str, convention: str = "paper") -> type[Task]:
-    """The class of the task `name`, which may also say where a class stands: "my_file.py:MyTask".
+    """The class of the task `name`, which may also say where one stands: "my_file.py:MyTask", "my_problem.json".
 
     Raises:
         UnknownNameError: no task of this name; the message lists them.
@@ -91,7 +96,8 @@ def make(name: str, *, convention: str = "paper", **options: Any) -> Task:
     """Build the task `name` with its own options.
 
     Args:
-        name: of a task that is registered, or where its class stands: "my_file.py:MyTask", "my_package.module:MyTask".
+        name: of a task that is registered, or where its class stands: "my_file.py:MyTask", "my_package.module:MyTask"; or that
+            of a problem file: "my_problem.json".
         convention: "paper" as printed, or "released" for the problem as the authors' program runs it, where a task has it.
         **options: the fields of the task.
 

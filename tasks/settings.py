@@ -72,6 +72,18 @@ PAPER_FLOOR = 1e-6
 """Added to the covariances of the paper's tasks while they are fitted."""
 
 
+class Regions(NamedTuple):
+    """Discs that a motion should stay out of.
+
+    Attributes:
+        centres: `(R, D)`.
+        radii: `(R,)`.
+    """
+
+    centres: Tensor
+    radii: Tensor
+
+
 @dataclass(frozen=True)
 class Scene(Movable):
     """What there is to see in a task, for figures.
@@ -82,6 +94,7 @@ class Scene(Movable):
         via_points: sets of `(L, D)` points by name.
         walls: `(W, 2, D)` the ends of each; None without.
         unit: of positions.
+        regions: to stay out of; None without.
     """
 
     starts: Tensor
@@ -89,3 +102,14 @@ class Scene(Movable):
     via_points: dict[str, Tensor] = field(default_factory=dict)
     unit: str = ""
     walls: Tensor | None = None
+    regions: Regions | None = None
+
+    def obstacles(self) -> list[Tensor]:
+        """Points `(..., D)` that limits of a figure have to hold, so that walls and regions are seen whole."""
+        walls = [] if self.walls is None else [self.walls]
+        regions = (
+            []
+            if self.regions is None
+            else [self.regions.centres + side * self.regions.radii[:, None] for side in (-1, 1)]
+        )
+        return [*walls, *regions]

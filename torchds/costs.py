@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from torchds import kernels
-from torchds.arrays import Array, beside, broadcast_shape, number, real
+from torchds.arrays import Array, beside, broadcast_shape, like, number, real
 from torchds.errors import InvalidArgumentError
 from torchds.visits import Gated
 
@@ -42,6 +42,32 @@ def goal(x: Array, target: Array) -> Tensor:
     """|x^goal − x_T|², the goal term of Eq. 39, `(...)` for `x` `(..., T+1, D)` and `target` `(D,)`."""
     end = _moving("x", x)[..., -1, :]
     return (end - beside("target", target, end, "(D,)")).square().sum(-1)
+
+
+def intrusion(x: Array, centres: Array, radii: Array) -> Tensor:
+    """Σ_r max_{j ≥ 1} (R_r − |x_j − c_r|)₊², how deep a motion comes into discs that it should stay out of, `(...)`.
+
+    Of each disc only the deepest state counts, so that the cost depends neither on how long a visit is nor on the time step.
+    Inside, the gradient moves that state away from the centre; outside, it is zero.
+
+    Args:
+        x: `(..., T+1, D)` states, the start first (it does not count).
+        centres: `(R, D)` c_r.
+        radii: `(R,)` R_r, in the unit of the states.
+
+    Raises:
+        InvalidArgumentError: no arrays of numbers, or shapes that do not fit.
+    """
+    x = _moving("x", x)[..., 1:, None, :]
+    c = beside("centres", centres, x, "(R, D)")
+    if c.ndim != 2:
+        raise InvalidArgumentError(f"centres has to be (R, D), got shape {tuple(c.shape)}")
+    R = like("radii", radii, x)
+    if R.shape != c.shape[:1]:
+        raise InvalidArgumentError(f"radii has to be ({len(c)},), one for each centre, got shape {tuple(R.shape)}")
+    depth = (R - torch.linalg.vector_norm(x - c, dim=-1)).clamp_min(0.0)  # (..., T, R)
+    deepest: Tensor = depth.amax(-2)
+    return deepest.square().sum(-1)
 
 
 def acceleration_steps(v: Array) -> Tensor:

@@ -9,18 +9,19 @@ import itertools
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchds import findings
-from torchds.arrays import Array, check_positive, tensor, tensors
+from torchds.arrays import Array, check_positive, count, tensor, tensors
 from torchds.errors import DemonstrationWarning, InvalidArgumentError, InvalidDemonstrationsError
-from torchds.preparation import Demonstration, Preparation
+from torchds.preparation import Demonstration, Preparation, gradient
 
 Duplicates = Literal["refuse", "drop"]
+Interpolation = Literal["cubic", "linear"]
 MOST_SAMPLES = 1_000_000  # of one demonstration; more is a mistaken time step
 GAP = 3.0  # usual time steps, from which on missing samples are spoken of
 
@@ -39,29 +40,43 @@ class Mending(Preparation):
         *,
         stiffness: Sequence[Array] | None = None,
         dt: float | None = None,
+        n_samples: int | None = None,
+        kind: Interpolation = "cubic",
         duplicates: Duplicates = "refuse",
         names: Sequence[str] | None = None,
         units: str | Sequence[str] | None = None,
     ) -> Self:
-        """Demonstrations from samples at uneven times: cubic splines through them, read off at equal time steps.
+        """Demonstrations from samples at uneven times: splines through them, read off at equal time steps.
 
-        What was resampled to what is said as a `DemonstrationWarning`, and gaps of several time steps in it.
+        What was resampled to what is said as a `DemonstrationWarning`, and gaps of several time steps in it, unless
+        `n_samples` says what is wanted.
 
         Args:
             times: `(T,)` [s] of each demonstration, rising.
             positions: `(T, D)` of each.
-            velocities: `(T, D)` of each [position unit/s]; None for the derivatives of the splines.
+            velocities: `(T, D)` of each [position unit/s]; None for the derivatives of cubic splines, or for the differences
+                of what lines between the samples give.
             stiffness: `(T, Q)` of each [N/m], interpolated linearly; None without.
             dt: time step of the result [s], up to what makes first and last sample stay; None for the median of each
                 demonstration's own.
+            n_samples: of each demonstration of the result, in place of `dt`.
+            kind: "cubic" splines, or "linear" for lines from sample to sample, which never swing beyond them.
             duplicates: what becomes of samples whose time is that of the one before: "refuse" them, or "drop" them.
             names: one for each dimension.
             units: of the positions, one for all dimensions or one for each.
 
         Raises:
-            InvalidDemonstrationsError: times that do not rise, of another number than positions, or fewer than four samples.
-            InvalidArgumentError: `dt` or `duplicates` is not allowed.
+            InvalidDemonstrationsError: times that do not rise, of another number than positions, or fewer samples than a
+                spline needs: four, or two for lines.
+            InvalidArgumentError: `dt`, `n_samples`, `kind` or `duplicates` is not allowed.
         """
+        if kind not in ("cubic", "linear"):
+            raise InvalidArgumentError(f"kind has to be 'cubic' or 'linear', got {kind!r}")
+        if n_samples is not None:
+            n_samples = count("n_samples", n_samples, 2)
+            if dt is not None:
+                raise InvalidArgumentError(f"n_samples={n_samples} and dt={dt:g} say the same; give one of them")
+
         if duplicates not in ("refuse", "drop"):
             raise InvalidArgumentError(f"duplicates has to be 'refuse' or 'drop', got {duplicates!r}")
         if dt is not None:
@@ -83,6 +98,8 @@ class Mending(Preparation):
                 None if v is None else v[i],
                 None if s is None else s[i],
                 dt,
+                n_samples,
+                kind,
                 duplicates == "drop",
             )
             for i in range(len(x))
@@ -182,14 +199,22 @@ class Resampled(NamedTuple):
 
 
 def resample(
-    i: int, t: np.ndarray, x: Tensor, v: Tensor | None, stiffness: Tensor | None, dt: float | None, drop: bool
+    i: int,
+    t: np.ndarray,
+    x: Tensor,
+    v: Tensor | None,
+    stiffness: Tensor | None,
+    dt: float | None,
+    n_samples: int | None,
+    kind: Interpolation,
+    drop: bool,
 ) -> Demonstration:
     """One demonstration at equal time steps from samples at the times `t` `(T,)`.
 
     Raises:
         InvalidDemonstrationsError: see `Mending.from_samples`.
     """
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, make_interp_spline
 
     if len(t) != len(x):
         raise InvalidDemonstrationsError(f"demonstration {i} has {len(x)} positions, got {len(t)} times for them")
@@ -205,26 +230,40 @@ def resample(
         x, v = x[rows], None if v is None else v[rows]
         stiffness = None if stiffness is None else stiffness[rows]
     check_rising(f"demonstration {i}", t)
-    if len(t) < 4:
-        raise InvalidDemonstrationsError(f"demonstration {i} has {len(t)} samples, a cubic spline needs at least four")
+    least, word = (4, "four") if kind == "cubic" else (2, "two")
+    if len(t) < least:
+        advice = '; pass kind="linear"' if len(t) > 1 else ""
+        raise InvalidDemonstrationsError(
+            f"demonstration {i} has {len(t)} samples, a {kind} spline needs at least {word}{advice}"
+        )
     steps = np.diff(t)
     span = float(t[-1] - t[0])
     step = float(np.median(steps)) if dt is None else dt
-    if not span / step < MOST_SAMPLES:
+    if n_samples is None and not span / step < MOST_SAMPLES:
         raise InvalidArgumentError(
             f"dt has to give demonstration {i}, which lasts {span:g} s, at most {MOST_SAMPLES} samples, got {step:g} s"
         )
-    n = max(round(span / step) + 1, 2)
+    n = max(round(span / step) + 1, 2) if n_samples is None else n_samples
     report = Resampled(len(t), n, steps.min(), steps.max(), span / (n - 1))
-    spline = CubicSpline(t - t[0], x.numpy(force=True))
+
+    def between(values: Tensor) -> Any:
+        known = values.numpy(force=True)
+        return CubicSpline(t - t[0], known) if kind == "cubic" else make_interp_spline(t - t[0], known, k=1)
+
     at = np.linspace(t[0], t[-1], n) - t[0]
-    velocity = spline(at, 1) if v is None else CubicSpline(t - t[0], v.numpy(force=True))(at)
+    path = between(x)
+    position = torch.from_numpy(path(at)).to(x)
+    if v is not None:
+        velocity = torch.from_numpy(between(v)(at)).to(x)
+    else:
+        velocity = torch.from_numpy(path(at, 1)).to(x) if kind == "cubic" else gradient(position, report.dt)
     s = None
     if stiffness is not None:
         columns = stiffness.numpy(force=True).T
         s = torch.from_numpy(np.stack([np.interp(at, t - t[0], column) for column in columns], -1)).to(x)
-    _tell(i, report, steps)
-    return Demonstration(torch.from_numpy(spline(at)).to(x), torch.from_numpy(velocity).to(x), report.dt, s)
+    if n_samples is None:
+        _tell(i, report, steps)
+    return Demonstration(position, velocity, report.dt, s)
 
 
 def check_rising(where: str, t: np.ndarray) -> None:

@@ -24,7 +24,7 @@ from torchds.policy import GMRPolicy
 try:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Ellipse
+    from matplotlib.patches import Circle, Ellipse
     from matplotlib.path import Path as Outline
     from matplotlib.patheffects import AbstractPathEffect, withStroke
     from matplotlib.ticker import Formatter, LogLocator, MaxNLocator
@@ -201,6 +201,24 @@ def walls(axes: Axes, segments: Array) -> None:
     for i, segment in enumerate(real("segments", segments, "(W, 2, D)")[..., :2].cpu()):
         label = "walls" if i == 0 else "_nolegend_"
         axes.plot(*segment.T, color="black", lw=4, solid_capstyle="round", zorder=6, label=label)
+
+
+def discs(axes: Axes, centres: Array, radii: Array, *, label: str = "forbidden") -> None:
+    """Discs of `radii` `(R,)` around `centres` `(R, D)` in the first two dimensions, hatched, with one entry in the legend.
+
+    Raises:
+        InvalidArgumentError: 3-D axes, or not one radius for each centre.
+    """
+    check_plane(axes, "discs")
+    middles, sizes = shown(axes, "centres", real("centres", centres, "(R, D)")), real("radii", radii, "(R,)").cpu()
+    if middles.ndim != 2 or sizes.shape != middles.shape[:1]:
+        raise InvalidArgumentError(
+            f"centres and radii have to be (R, D) and (R,), got shapes {tuple(middles.shape)} and {tuple(sizes.shape)}"
+        )
+    for i, (middle, radius) in enumerate(zip(middles.tolist(), sizes.tolist(), strict=True)):
+        disc = Circle(middle, radius, fc=(0, 0, 0, 0.08), ec="black", lw=1.2, hatch="//", zorder=3)
+        disc.set_label(label if i == 0 else "_nolegend_")
+        axes.add_patch(disc)
 
 
 def small_map(*tracks: Array) -> tuple[Figure, Axes]:

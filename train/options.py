@@ -143,15 +143,24 @@ class RunOptions:
         Raises:
             InvalidArgumentError: an option that does not exist, or a value that it cannot have.
         """
+        cls.check_plain(values)
+        paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
+        return cls(**{**values, **paths})
+
+    @classmethod
+    def check_plain(cls, values: Mapping[str, Any]) -> None:
+        """Refuse plain values that are none of options.
+
+        Raises:
+            InvalidArgumentError, UnknownNameError: see `from_json`.
+        """
         kinds = get_type_hints(cls)
         known = {field.name: kinds[field.name] for field in fields(cls) if field.name not in UNKEPT}
         for name, value in values.items():
             if name not in known:
-                raise UnknownNameError(f"option of {cls.task}", name, known)
+                raise UnknownNameError(f"option of {getattr(cls, 'task', 'a run')}", name, known)
             if not fits(value, known[name]):
                 raise InvalidArgumentError(f"the option {name} cannot be {value!r}; it has to be {words(known[name])}")
-        paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
-        return cls(**{**values, **paths})
 
 
 def check_seed(seed: int, bits: int = 63) -> None:
@@ -189,11 +198,12 @@ def options_class(task: str) -> type[RunOptions]:
     """The options of a run of a task: those of `RunOptions`, and the task's own fields.
 
     Args:
-        task: its name, or where its class stands: "my_file.py:MyTask".
+        task: its name, or where it stands: "my_file.py:MyTask", "my_problem.json".
 
     Raises:
-        UnknownNameError: no task of this name.
-        InvalidArgumentError: no task stands there, or one with a field that a command line cannot give.
+        UnknownNameError: no task of this name, or one whose defaults name an option that does not exist.
+        InvalidArgumentError: no task stands there, or one with a field that a command line cannot give, or a default that its
+            option cannot have.
     """
     return _derived(absolute(task), tasks.options_of(task))
 
@@ -214,11 +224,13 @@ def _derived(spec: str, task: type[tasks.Task]) -> type[RunOptions]:
             # Fields are copied, since making a dataclass writes on them.
             usual: Any = field(**{name: getattr(each, name) for name in ("default", "default_factory")})
             own.append((each.name, _explained(hints[each.name], lines.get(each.name, "")), usual))
-    exploration = _explained(Exploration | str, field_lines(RunOptions)["exploration"])
+    kinds, lines = get_type_hints(RunOptions), field_lines(RunOptions)
+    RunOptions.check_plain(task.defaults)
+    said = [(name, _explained(kinds[name], lines[name]), field(default=usual)) for name, usual in task.defaults.items()]
     first = (inspect.getdoc(task) or task.__name__).split("\n\n")[0]
     return make_dataclass(
         f"{task.__name__}Options",
-        [("exploration", exploration, field(default=task.exploration)), *own],
+        [*said, *own],
         bases=(RunOptions,),
         namespace={"task": spec, "__doc__": first},
         kw_only=True,

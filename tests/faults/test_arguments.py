@@ -144,6 +144,7 @@ def unpacked(theta):
 CASES = {
     "costs.via_points": (costs.via_points, {"x": PATH, "points": randn(4, 2)}),
     "costs.goal": (costs.goal, {"x": PATH, "target": GOAL}),
+    "costs.intrusion": (costs.intrusion, {"x": PATH, "centres": randn(4, 2), "radii": randn(4).abs()}),
     "costs.acceleration_steps": (costs.acceleration_steps, {"v": V}),
     "costs.acceleration": (costs.acceleration, {"v": V}),
     "costs.path_length": (lambda v: costs.path_length(v, DT), {"v": V}),
@@ -300,6 +301,10 @@ CASES = {
         lambda x, goal: drawn(lambda axes: plotting.frames(axes, x, goal, size=0.1), three=True),
         {"x": 0.1 * randn(T, 6), "goal": TURNING[0]},
     ),
+    "plotting.discs": (
+        lambda **given: drawn(lambda axes: plotting.discs(axes, **given)),
+        {"centres": PATH[:, 0], "radii": randn(3).abs()},
+    ),
     "plotting.walls": (lambda segments: drawn(lambda axes: plotting.walls(axes, segments)), {"segments": PATH[:, :2]}),
     "starts.fit_mixtures": (lambda goal: torchds.fit_mixtures(DEMOS, 1, goal=goal), {"goal": GOAL}),
     "demonstrations.Demonstrations": (
@@ -369,6 +374,7 @@ ANY_LENGTH = {
     ("poses.angular_velocity", "x"), ("plotting.limits", "tracks"), ("plotting.small_map", "tracks"),
     ("plotting.shown", "x"), ("plotting.trajectories", "x"),
     ("plotting.markers", "starts"), ("plotting.markers", "goal"), ("plotting.walls", "segments"),
+    ("plotting.discs", "centres"),
     ("poses.angular_velocity", "v"), ("preparation.Preparation.with_stiffness", "value"),
 }  # fmt: skip
 OPTIONAL = {"P", "stiffness_A", "stiffness_b", "direction", "torque_limit", "gating", "free", "velocities"}

@@ -30,7 +30,7 @@ LIBRARY = [
 TASKS = [
     {"settings", "loading", "imitation"},
     {"base"},
-    {"via_point", "two_starts", "constrained_reaching", "force_fields", "lwr_digging", "transfer", "trials"},
+    {"via_point", "two_starts", "constrained_reaching", "force_fields", "lwr_digging", "transfer", "trials", "sketch"},
     {"released", "digging"},
     {"registry"},
     {"gym"},

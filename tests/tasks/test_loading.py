@@ -1,8 +1,10 @@
+from pathlib import Path
+
 import pytest
 import torch
 
 import tasks
-from tasks.loading import absolute, is_spec, load_object, short
+from tasks.loading import absolute, is_problem, is_spec, load_object, short
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.optim import PIBB
 
@@ -46,8 +48,11 @@ def test_a_class_of_a_module_is_found():
 
 
 def test_names_and_places_are_told_apart():
-    assert is_spec("a.py:B") and is_spec("a.b:C") and not is_spec("pibb")
+    assert is_spec("a.py:B") and is_spec("a.b:C") and is_spec("a.json") and not is_spec("pibb")
+    assert is_problem("a.json") and not is_problem("a.py:B")
     assert short("a/b.py:C") == "C" and short("pibb") == "pibb" and absolute("pibb") == "pibb"
+    assert short("a/b c-D.json") == "b_c_d" and short("/ä.json") == "ä" and short("--.json") == "problem"
+    assert absolute("a/b.json") == str(Path("a/b.json").resolve())
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import tasks
-from tasks.settings import PAPER_SEARCH, Motion, Scene, SearchSettings
+from tasks.settings import PAPER_SEARCH, Motion, Regions, Scene, SearchSettings
 from torchds import rollout
 from torchds.exploration import Homogeneous
 
@@ -40,5 +40,14 @@ def test_a_search_without_numbers_leaves_all_sizes_to_the_motion():
 
 def test_a_scene_has_no_via_points_walls_or_unit_unless_given():
     scene = Scene(torch.zeros(1, 2), torch.ones(2))
-    assert (scene.via_points, scene.walls, scene.unit) == ({}, None, "")
+    assert (scene.via_points, scene.walls, scene.regions, scene.unit) == ({}, None, None, "")
+    assert scene.obstacles() == []
     assert Scene(torch.zeros(1, 2), torch.ones(2)).via_points is not scene.via_points
+
+
+def test_the_obstacles_of_a_scene_span_its_walls_and_regions_and_move_with_it():
+    regions = Regions(torch.tensor([[1.0, 2.0]]), torch.tensor([0.5]))
+    scene = Scene(torch.zeros(1, 2), torch.ones(2), walls=torch.tensor([[[0.0, 0.0], [3.0, 0.0]]]), regions=regions)
+    points = torch.cat([track.reshape(-1, 2) for track in scene.obstacles()])
+    assert points.amin(0).tolist() == [0, 0] and points.amax(0).tolist() == [3, 2.5]
+    assert scene.to(dtype=torch.float64).regions.radii.dtype == torch.float64

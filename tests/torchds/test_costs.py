@@ -34,6 +34,27 @@ def test_goal_is_the_squared_distance_at_the_end(randn):
     assert_close(costs.goal(x, target).numpy(), expected, **CLOSE)
 
 
+def test_intrusion_equals_a_loop_and_the_start_does_not_count(randn):
+    x, centres, radii = randn(5, 8, 2), randn(3, 2), torch.tensor([0.5, 1.0, 1e-3], dtype=torch.float64)
+
+    def loop(x):
+        discs = list(zip(centres.numpy(), radii.numpy(), strict=True))
+        return sum(max(max(r - np.linalg.norm(x_j - c), 0.0) for x_j in x[1:]) ** 2 for c, r in discs)
+
+    expected = each(loop, x)
+    assert (expected > 0).any()
+    assert_close(costs.intrusion(x, centres, radii).numpy(), expected, **CLOSE)
+    inside, outside = torch.zeros(1, 2).double(), torch.ones(4, 2).double()
+    assert costs.intrusion(torch.cat([inside, outside]), [[0.0, 0.0]], [1.0]) == 0
+    assert costs.intrusion(torch.cat([outside, inside]), [[0.0, 0.0]], [1.0]) == 1
+
+
+def test_the_gradient_of_intrusion_pushes_the_deepest_state_out():
+    x = torch.tensor([[9.0, 0.0], [0.5, 0.0], [0.25, 0.0], [3.0, 0.0]], dtype=torch.float64, requires_grad=True)
+    costs.intrusion(x, [[0.0, 0.0]], [1.0]).backward()
+    assert x.grad.tolist() == [[0, 0], [0, 0], [-1.5, 0], [0, 0]]
+
+
 def test_acceleration_is_the_sum_of_velocity_steps(randn):
     v = randn(5, 8, 2)
     expected = each(lambda v: sum(np.linalg.norm(v[j] - v[j - 1]) for j in range(1, 8)), v)

@@ -46,6 +46,28 @@ def test_velocities_and_stiffness_are_resampled_too():
     assert (d.stiffness[:, 0] - 100 * at).abs().max() < 1e-9
 
 
+@pytest.mark.parametrize("n", [2, 77])
+def test_lines_between_samples_are_read_off_at_as_many_times_as_asked_for_and_nothing_is_said(n):
+    t = torch.tensor([5.0, 5.001, 6.0, 9.0], dtype=torch.float64)
+    x = torch.tensor([[0.0, 1.0], [1.0, 1.0], [0.0, 2.0], [4.0, 2.0]], dtype=torch.float64)
+    (d,) = Demonstrations.from_samples([t], [x], n_samples=n, kind="linear")
+    at = np.linspace(5.0, 9.0, n)
+    expected = np.stack([np.interp(at, t.numpy(), column) for column in x.T.numpy()], -1)
+    assert d.dt == pytest.approx(4.0 / (n - 1)) and np.allclose(d.x, expected, rtol=0, atol=1e-12)
+    assert np.allclose(d.v, np.gradient(expected, d.dt, axis=0, edge_order=min(2, n - 1)), rtol=0, atol=1e-9)
+
+
+def test_a_number_of_samples_is_another_way_to_give_the_time_step():
+    t = torch.linspace(0, 1, 80, dtype=torch.float64).square()
+    (d,) = Demonstrations.from_samples([t], [circle(t)[0]], n_samples=51)
+    (e,) = Demonstrations.from_samples([t], [circle(t)[0]], dt=0.02)
+    assert d.dt == e.dt and torch.equal(d.x, e.x) and torch.equal(d.v, e.v)
+    with pytest.raises(InvalidArgumentError, match=r"n_samples=51 and dt=0\.02 say the same"):
+        Demonstrations.from_samples([t], [circle(t)[0]], n_samples=51, dt=0.02)
+    with pytest.raises(InvalidArgumentError, match="kind has to be 'cubic' or 'linear', got 'square'"):
+        Demonstrations.from_samples([t], [circle(t)[0]], kind="square")
+
+
 @pytest.mark.parametrize("row, shift, what", [(4, 0.0, "stands still"), (7, -0.5, "goes back")])
 def test_a_time_that_does_not_rise_is_refused_with_all_digits(row, shift, what):
     t = 1.7e9 + torch.arange(30, dtype=torch.float64) * 0.01
@@ -65,7 +87,7 @@ def test_samples_at_one_time_are_dropped_on_request():
     "times, positions, error",
     [
         ([torch.arange(5.0)], [torch.zeros(4, 2)], "4 positions, got 5 times"),
-        ([torch.arange(3.0)], [torch.rand(3, 2)], "at least four"),
+        ([torch.arange(3.0)], [torch.rand(3, 2)], 'at least four; pass kind="linear"'),
         ([torch.tensor([0.0, math.nan, 1.0, 2.0])], [torch.rand(4, 2)], "row 1 .* is not finite"),
         ([torch.arange(4.0)], [torch.rand(4, 2), torch.rand(4, 2)], "one array for each of the 2"),
     ],

@@ -140,6 +140,16 @@ def test_markers_and_walls_stand_where_they_are(axes):
     assert axes.lines[-1].get_xydata().tolist() == [[1, 0], [1, 2]] and legend(axes)[-1] == "walls"
 
 
+def test_discs_are_where_they_are_with_one_entry_in_the_legend(axes, space):
+    plotting.discs(axes, torch.tensor([[0.0, 1.0, 9.0], [2.0, 3.0, 9.0]]), torch.tensor([0.5, 1.5]))
+    assert [(*patch.center, patch.radius) for patch in axes.patches] == [(0, 1, 0.5), (2, 3, 1.5)]
+    assert legend(axes) == ["forbidden"]
+    with pytest.raises(InvalidArgumentError, match=r"have to be \(R, D\) and \(R,\), got shapes \(2, 2\) and \(1,\)"):
+        plotting.discs(axes, torch.zeros(2, 2), torch.ones(1))
+    with pytest.raises(InvalidArgumentError, match="discs can be drawn in a plane only"):
+        plotting.discs(space, torch.zeros(1, 2), torch.ones(1))
+
+
 def test_a_legend_shows_each_marker_as_it_is_drawn_and_sets_of_via_points_differ(axes):
     points = torch.rand(3, 2)
     plotting.markers(axes, points[:1], points[0], dict.fromkeys(("first", "second", "third", "fourth"), points))

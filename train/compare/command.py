@@ -212,6 +212,10 @@ class Compare:
             optimizer=candidate.optimizer,
             exploration=usual.get(candidate.coordinates, candidate.coordinates),
             scale=factor,
+            noise=None,  # what a task says for its own learner is not for all of them
+            decay=None,
+            temperature=None,
+            elite=None,
             cost_noise=self.noise_std,
             logdir=self.logdir,
             **own,

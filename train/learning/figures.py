@@ -6,7 +6,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tasks import Task
+from tasks import Scene, Task
 from torchds import GMRPolicy, Rollout, plotting
 from torchds.dmp import DMP
 from train.learning.history import History
@@ -38,15 +38,12 @@ def progress(learner: Learner, path: Rollout) -> Figure:
     """The motions of all runs as they are now, on what was imitated; small, and without the field, since there are many."""
     task, history = learner.task, learner.history
     before, scene = task.rollout(learner.initial).x, task.scene()
-    figure, axes = plotting.small_map(
-        before, *scene.via_points.values(), *(() if scene.walls is None else (scene.walls,))
-    )
+    figure, axes = plotting.small_map(before, *scene.via_points.values(), *scene.obstacles())
     plotting.trajectories(axes, before, color=plotting.BEFORE, label="before learning", lw=1.4)
     runs = learner.options.runs
     label = "now" if runs == 1 else f"now, {runs} runs"
     plotting.trajectories(axes, path.x, color=plotting.AFTER, label=label, lw=1.4, alpha=1.0 if runs == 1 else 0.4)
-    if scene.walls is not None:
-        plotting.walls(axes, scene.walls)
+    draw_obstacles(axes, scene)
     plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
     plotting.finish_map(axes, f"After {history.rollouts[-1]} roll-outs", scene.unit)
     return figure
@@ -62,8 +59,7 @@ def trial(learner: Learner) -> Figure:
     figure = Figure(figsize=(13, 8), layout="constrained")
     plane, force, stiffness = figure.subplot_mosaic([["plane", "force"], ["plane", "stiffness"]]).values()
     x, reference = (track.reshape(-1, *track.shape[-2:])[0] for track in (path.x, path.reference))
-    if (walls := task.scene().walls) is not None:
-        plotting.walls(plane, walls)
+    draw_obstacles(plane, task.scene())
     grains = path.plant.snapshots.reshape(-1, *path.plant.snapshots.shape[-2:])[0, -1, 7:].reshape(-1, 3)
     plane.plot(*grains[:, :2].T, "o", color="#b5aea0", ms=4, label="gravel at the end")
     for i, demonstration in enumerate(task.source or ()):
@@ -124,14 +120,21 @@ def draw_scene(axes: Axes, task: Task, policy: GMRPolicy, *tracks: torch.Tensor)
     """Limits, field and markers of a task."""
     scene = task.scene()
     seen = [*tracks, *(d.x[:, :2] for d in task.source or ()), *scene.via_points.values(), scene.starts]
-    x, y = plotting.limits(*seen, *(() if scene.walls is None else (scene.walls,)))
+    x, y = plotting.limits(*seen, *scene.obstacles())
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     if not isinstance(policy, DMP):  # what drives it is a phase, and no place
         plotting.field(axes, policy)
+    draw_obstacles(axes, scene)
+    plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
+
+
+def draw_obstacles(axes: Axes, scene: Scene) -> None:
+    """Walls and forbidden regions, where there are some."""
     if scene.walls is not None:
         plotting.walls(axes, scene.walls)
-    plotting.markers(axes, scene.starts, scene.goal, scene.via_points)
+    if scene.regions is not None:
+        plotting.discs(axes, *scene.regions)
 
 
 def curves(history: History) -> Figure:

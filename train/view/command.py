@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
+from tasks.loading import absolute
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.folder import OPTIONS, POLICY, RunFolder
@@ -103,7 +104,7 @@ class View:
         folder = RunFolder(path, "--policy")
         folder.require(OPTIONS, POLICY)
         options = folder.options()
-        if options.task != self.task or not 0 <= self.run < options.runs:
+        if options.task != absolute(self.task) or not 0 <= self.run < options.runs:
             raise InvalidArgumentError(
                 f"--policy {path}: a run of {options.task!r} with {options.runs} policies; needed is one of "
                 f"{self.task!r} that has policy {self.run}"
