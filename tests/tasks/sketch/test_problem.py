@@ -3,12 +3,10 @@ from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tasks.sketch import Problem
 from tests.tasks.sketch.drawn import FULL, strokes
-from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
+from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 
 EMPTY = {"torchds": "problem", "version": 1}
 
@@ -99,59 +97,3 @@ def test_smoothing_and_duration_are_those_of_demonstrations():
 def test_an_empty_drawing_can_be_held_and_says_that_nothing_is_drawn():
     with pytest.raises(InvalidArgumentError, match="nothing is drawn"):
         Problem().demonstrations()
-
-
-# ------------------------------------------------------------------ whatever stands in a file
-
-NUMBERS = st.floats(-1e3, 1e3)
-PAIRS = st.tuples(NUMBERS, NUMBERS)
-STROKES = st.lists(
-    st.lists(st.tuples(st.floats(0, 100), NUMBERS, NUMBERS), min_size=2, max_size=6, unique_by=lambda row: row[0]).map(sorted),
-    max_size=3,
-)  # fmt: skip
-PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    problem=st.builds(
-        Problem,
-        strokes=STROKES,
-        samples=st.integers(10, 2000),
-        duration=st.none() | st.floats(0.1, 1e3),
-        goal=st.none() | PAIRS,
-        via_points=st.lists(PAIRS, max_size=3),
-        walls=st.lists(st.tuples(PAIRS, PAIRS), max_size=2),
-        regions=st.lists(st.builds(lambda c, r: {"center": c, "radius": r}, PAIRS, st.floats(1e-3, 10)), max_size=2),
-        body=st.none() | st.just({}) | st.builds(lambda force: {"field": "constant", "force": force}, PAIRS),
-    )
-)
-def test_any_problem_comes_back_from_json(problem):
-    assert Problem.from_json(json.loads(json.dumps(problem.to_json()))) == problem
-
-
-def places(value, path=()):
-    """The ways to all values within a plain one."""
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return [path] + [place for key, each in items for place in places(each, (*path, key))]
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data(), new=PLAIN)
-def test_a_damaged_value_is_refused_in_our_words_or_is_a_problem(data, new):
-    values = json.loads(json.dumps(replace(FULL, strokes=strokes(1, 4)).to_json()))
-    *way, last = data.draw(st.sampled_from(places(values)[1:]))
-    inner = values
-    for key in way:
-        inner = inner[key]
-    inner[last] = new
-    try:
-        problem = Problem.from_json(values)
-    except TorchdsError as error:
-        assert len(str(error)) < 600
-    else:
-        assert Problem.from_json(problem.to_json()) == problem
