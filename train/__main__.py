@@ -1,6 +1,7 @@
 """`python -m train <command> [options]`: learn a task, make the paper's figures, or measure the speed.
 
-A task of yours is named by the place where its class stands: FILE.py:NAME or MODULE:NAME in place of the command.
+A task of yours is named by where it stands: FILE.py:NAME or MODULE:NAME of a class, PROBLEM.json of a drawn problem, in
+place of the command.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ print(policy.certificate(task.goal, task.P))
 
 BODY = """\
 # It says how stiff the body is held, too: a point mass follows the motion, pulled by a spring and a damper.
-print(task.plant)
+print(policy.stiffness(task.motion().x0))  # at the start, of each axis
 """
 
 END = """

@@ -52,7 +52,8 @@ class Compare:
     """
 
     tasks: tuple[str, ...] = ("via_point-N", "via_point-P")
-    """Problems: via_point-N, via_point-P, the other tasks by their names, and yours: FILE.py:NAME or MODULE:NAME."""
+    """Problems: via_point-N, via_point-P, the other tasks by their names, and yours: FILE.py:NAME, MODULE:NAME
+    or PROBLEM.json."""
     optimizers: tuple[str, ...] = get_args(Optimizer)
     """As --optimizer of the training commands, yours among them."""
     coordinates: tuple[CoordinateKind | str, ...] = ("plain", "trajectory")

@@ -39,7 +39,7 @@ def test_a_script_explains_what_its_problem_has(condition, body, tmp_path):
     replace(FULL, condition=condition, body=body).write(tmp_path / "a.json")
     text = script(tmp_path / "a.json")
     compile(text, "it.py", "exec")
-    assert ("certificate" in text) == (condition == "seds") and ("task.plant" in text) == (body is not None)
+    assert ("certificate" in text) == (condition == "seds") and ("policy.stiffness" in text) == (body is not None)
     assert str(CHECKOUT) in text and "options_for('" in text
 
 
