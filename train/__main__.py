@@ -82,7 +82,7 @@ def command(commands: dict[str, Callable[..., Any]]) -> None:
         options_of_task = options_class(arguments[0])
         arguments[0] = tasks.options_of(arguments[0]).name
         commands[arguments[0]] = options_of_task
-    if arguments[:1] == ["hardware"]:
+    elif arguments[:1] == ["hardware"]:
         commands["hardware"] = hardware(arguments)
     options: Any = tyro.extras.subcommand_cli_from_dict(
         commands,

@@ -137,9 +137,10 @@ def rising_rows(most: int, latest: float, largest: float) -> Kind:
                 f"the times of {where} have to rise, they go back from {before!r} to {after!r} s at row {back[0] + 1}"
             )
         rows = rows[np.concatenate([[True], steps > 0])] if len(rows) else rows
-        if len(rows) < 2:
+        if len(rows) < 2 or not np.ptp(rows[:, 1:], axis=0).any():
+            found = f"{len(rows)} at one place" if len(rows) > 1 else len(rows)
             raise InvalidArgumentError(
-                f"{where} has to have at least two points at different times, got {len(rows)}; draw a line, or leave it out"
+                f"{where} has to have at least two points at different times and places, got {found}; draw a line"
             )
         return tuple(map(tuple, rows.tolist()))
 

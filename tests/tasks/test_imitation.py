@@ -2,7 +2,7 @@ import pytest
 import torch
 
 import tasks
-from tasks.imitation import with_stiffness, without_stiffness
+from tasks.imitation import with_constant_stiffness, with_stiffness, without_stiffness
 from torchds import Demonstrations, GMRPolicy
 from torchds.errors import DemonstrationWarning, InvalidArgumentError
 
@@ -34,3 +34,10 @@ def test_a_mixture_without_stiffness_gets_the_constant(random_mixture):
     stiffness = policy.stiffness(torch.zeros(5, 2, dtype=torch.float64)).detach()
     torch.testing.assert_close(stiffness, torch.full_like(stiffness, 30.0))
     torch.testing.assert_close(without_stiffness(plain, 2, 2, "").pack(), GMRPolicy.from_mixture(plain, 2).pack())
+
+
+def test_a_motion_that_has_no_stiffness_gets_a_constant_one_and_stays_as_it_was(random_policy):
+    motion, x = random_policy(), torch.randn(7, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    policy = with_constant_stiffness(motion, 2, 30.0)
+    torch.testing.assert_close(policy(x), motion(x), rtol=1e-12, atol=1e-12)
+    assert (policy.stiffness(x) - 30.0).abs().max() < 1e-12 and policy.stiffness_dim == 2
