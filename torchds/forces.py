@@ -1,4 +1,4 @@
-"""External forces on a plant. A force is any function of time, position and velocity; here, two.
+"""External forces on a plant. A force is any function of time, position and velocity; here, three.
 
 Stability: stable.
 """
@@ -48,6 +48,29 @@ class ConstantForce(Movable):
             return ScalarStep(CONSTANT, self.force)
         where = self.force.new_tensor([self.border, self.axis % n_axes]).expand(*self.force.shape[:-1], 2)
         return ScalarStep(BEYOND, torch.cat([where, self.force], -1))
+
+
+@dataclass(frozen=True)
+class SpringForce(Movable):
+    """A spring to one point, without length at rest: a hand that pulls.
+
+    Args:
+        anchor: `(D,)`, `(*points, D)` or `(*batch, *points, D)`, where it is held.
+        stiffness: [N/m].
+    """
+
+    anchor: Tensor
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "anchor", real("anchor", self.anchor, "(*batch, *points, D)"))
+        number("stiffness", self.stiffness, "finite and at least 0", lambda k: 0 <= k < math.inf)
+
+    def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
+        """The force at positions `x` `(..., D)`."""
+        _check_axes("anchor", self.anchor, x.shape[-1])
+        force: Tensor = self.stiffness * (self.anchor.to(x) - x)
+        return force
 
 
 class DivergentForce(Movable):

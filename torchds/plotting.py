@@ -6,6 +6,7 @@ Stability: stable.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from torchds.policy import GMRPolicy
 try:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.patches import Circle, Ellipse
+    from matplotlib.patches import Circle, Polygon
     from matplotlib.path import Path as Outline
     from matplotlib.patheffects import AbstractPathEffect, withStroke
     from matplotlib.ticker import Formatter, LogLocator, MaxNLocator
@@ -70,7 +71,6 @@ def check_plane(axes: Axes, what: str) -> None:
         )
 
 
-@torch.no_grad()
 def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
     """The velocity of a 2-D policy as streamlines over the axes' present limits (Fig. 1).
 
@@ -80,10 +80,19 @@ def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
     check_plane(axes, "a field")
     if policy.input_dim != 2:
         raise InvalidArgumentError(f"the field of a policy of two inputs can be drawn, got one of {policy.input_dim}")
-    xs, ys = (np.linspace(*lim, resolution) for lim in (axes.get_xlim(), axes.get_ylim()))
-    grid = np.stack(np.meshgrid(xs, ys), -1)
-    v = policy(torch.as_tensor(grid, dtype=policy.means.dtype, device=policy.means.device)).cpu().numpy()
+    grid, v = velocities(policy, axes.get_xlim(), axes.get_ylim(), resolution, resolution)
+    xs, ys = grid[0, :, 0], grid[:, 0, 1]
     axes.streamplot(xs, ys, v[..., 0], v[..., 1], color=FIELD, linewidth=0.7, arrowsize=0.7, density=1.1, zorder=1)
+
+
+def velocities(
+    policy: GMRPolicy, xlim: tuple[float, float], ylim: tuple[float, float], nx: int, ny: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The field of a 2-D policy on a grid: points and velocities, each `(ny, nx, 2)`."""
+    grid = np.stack(np.meshgrid(np.linspace(*xlim, nx), np.linspace(*ylim, ny)), -1)
+    with torch.no_grad():
+        v = policy(torch.as_tensor(grid, dtype=policy.means.dtype, device=policy.means.device)).cpu().numpy()
+    return grid, v
 
 
 def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (1 sd)") -> None:
@@ -94,15 +103,19 @@ def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (
     """
     check_plane(axes, "Gaussians")
     shown(axes, "Gaussians", policy.means)
-    for k, (mean, covariance) in enumerate(zip(policy.means.cpu(), policy.covariances.cpu(), strict=True)):
-        values, vectors = np.linalg.eigh(covariance[:2, :2].numpy())
-        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-        width, height = 2 * np.sqrt(values[::-1])
-        ellipse = Ellipse(
-            (float(mean[0]), float(mean[1])), width, height, angle=angle, fill=False, ec=GAUSSIAN, lw=1.6, zorder=4
-        )
+    for k, outline in enumerate(outlines(policy)):
+        ellipse = Polygon(outline, closed=True, fill=False, ec=GAUSSIAN, lw=1.6, zorder=4)
         ellipse.set_label(label if k == 0 and label else "_nolegend_")
         axes.add_patch(ellipse)
+
+
+def outlines(policy: GMRPolicy, n: int = 72) -> np.ndarray:
+    """The ellipses of one standard deviation of the gating's Gaussians, `(K, n, 2)` points in the first two inputs."""
+    turn = torch.linspace(0.0, 2 * math.pi, n + 1)[:-1]
+    circle = torch.stack([turn.cos(), turn.sin()], -1).to(policy.means)
+    roots = torch.linalg.cholesky(policy.covariances[:, :2, :2])
+    points: np.ndarray = (policy.means[:, None, :2] + circle @ roots.mT).detach().cpu().numpy()
+    return points
 
 
 def demonstrations(axes: Axes, demos: Demonstrations) -> None:

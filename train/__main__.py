@@ -38,6 +38,7 @@ from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.experiment import Digging
 from train.paper.figures.command import Figures
+from train.studio.command import Studio
 from train.view.command import View
 
 
@@ -58,6 +59,7 @@ def main() -> int:
         "hardware": hardware([]),
         "latency": Latency,
         "push": Push,
+        "studio": Studio,
         "view": View,
         "compare": Compare,
         "sweep": Sweep,

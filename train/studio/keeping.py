@@ -1,0 +1,73 @@
+"""What can be taken along from the page, as the bytes of files."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from matplotlib.figure import Figure
+
+from torchds import plotting
+from torchds.errors import InvalidArgumentError
+from train.learning.figures import draw_scene
+from train.studio.script import script
+from train.studio.state import Studio
+
+
+def problem(studio: Studio) -> bytes:
+    """A file that `python -m train` takes."""
+    return written(".json", studio.problem.write)
+
+
+def demonstrations(studio: Studio) -> bytes:
+    """An .npz file that `torchds.load` reads."""
+    return written(".npz", studio.problem.demonstrations().save_npz)
+
+
+def policy(studio: Studio, index: int = 0) -> bytes:
+    """A file that `torchds.load_policy` reads: what this side has learned, or else what is imitated."""
+    found, task = studio.policy(index), studio.task
+    if found is None or task is None:
+        raise InvalidArgumentError("there is no policy yet; draw a motion first")
+    return written(".pt", lambda path: found.save(path, **task.about(found)))
+
+
+def program(studio: Studio) -> bytes:
+    """The Python script that does the same."""
+    return script(f"{studio.problem.stem}.json").encode()
+
+
+@torch.no_grad()
+def picture(studio: Studio, kind: str, index: int = 0) -> bytes:
+    """What is on the table, as "svg" or "png"."""
+    found, task = studio.policy(index), studio.task
+    if found is None or task is None:
+        raise InvalidArgumentError("there is no motion yet; draw one first")
+    figure = Figure(figsize=(8, 5.6), layout="constrained")
+    axes = figure.subplots()
+    path = task.rollout(found)
+    draw_scene(axes, task, found, path.x)
+    if task.source is not None:
+        plotting.demonstrations(axes, task.source)
+    plotting.gaussians(axes, found)
+    learned = found is not (studio.imitation and studio.imitation.policy)
+    if learned and studio.imitation is not None:
+        before = task.rollout(studio.imitation.policy).x
+        plotting.trajectories(axes, before, color=plotting.BEFORE, label="imitated motion", lw=1.6)
+    label = "learned motion" if learned else "imitated motion"
+    plotting.trajectories(axes, path.x, color=plotting.AFTER, label=label)
+    plotting.finish_map(axes, studio.problem.name, task.scene().unit)
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=150)
+    return stream.getvalue()
+
+
+def written(ending: str, write: Callable[[Path], object]) -> bytes:
+    """What `write` puts into a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"file{ending}"
+        write(path)
+        return path.read_bytes()

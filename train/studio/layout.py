@@ -1,0 +1,241 @@
+"""The page: what is where on it, and which change of the state each control asks for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from nicegui import app, events, ui
+
+from tasks.sketch import Problem, examples
+from torchds.errors import TorchdsError
+from train.studio import panels, showing
+from train.studio.drawing import Drawing
+from train.studio.state import Studio
+
+PICTURES = 30.0  # a second, at most
+CURVES = 0.3  # s between two pictures of the learning curves, at least
+TOOLS = {
+    "draw": ("draw", "Draw a demonstration with mouse, pen or touch"),
+    "move": ("open_with", "Drag the start, the goal or a via-point"),
+    "via": ("add_location", "Click where the motion has to pass"),
+    "wall": ("horizontal_rule", "Drag a wall from end to end"),
+    "region": ("do_not_disturb_on", "Drag a forbidden disc from its centre"),
+    "erase": ("delete", "Click a demonstration, via-point, wall or region to remove it"),
+    "pull": ("pan_tool", "Grab the moving mass and pull"),
+}
+STYLE = """
+.nicegui-content { padding: 0 }
+.studio { display: grid; grid-template-columns: minmax(0, 1fr) 23rem; height: 100vh; width: 100%;
+  background: #eef1f4; color: #1b2733 }
+.studio-left { display: flex; flex-direction: column; gap: 6px; padding: 8px; min-width: 0; min-height: 0 }
+.studio-tables { display: flex; gap: 6px; flex: 1; min-height: 14rem }
+.studio-tables > * { flex: 1; min-width: 0; position: relative }
+.studio-right { background: white; overflow-y: auto; padding: 4px 12px }
+.studio-row { display: flex; gap: 8px; align-items: center; flex-wrap: wrap; width: 100% }
+.studio-right .q-tab { padding: 0 9px; min-width: 0 }
+.studio-note { font-size: 13px; color: #41505f }
+.studio-bad { color: #a32015 }
+@media (max-width: 1000px) {
+  .studio { grid-template-columns: minmax(0, 1fr); height: auto }
+  .studio-tables { height: 30rem }
+}
+"""
+
+
+def serve(studio: Studio, host: str, port: int, *, show: bool = True) -> None:
+    """Serve the page until the process is interrupted."""
+    last = [time.monotonic()]
+
+    def tick() -> None:
+        now = time.monotonic()
+        studio.tick(now - last[0])
+        last[0] = now
+
+    @ui.page("/", title="torchds studio")
+    def page() -> None:
+        View(studio)
+
+    print(f"studio: http://{host}:{port} until Ctrl-C; its state is kept in {studio.folder}", flush=True)
+    app.timer(1 / 50, tick)
+    ui.run(host=host, port=port, show=show, reload=False, tailwind=False, show_welcome_message=False)
+
+
+class View:
+    """One window that shows the state and asks for changes of it."""
+
+    def __init__(self, studio: Studio) -> None:
+        self.studio = studio
+        self.waiting: set[str] = set()
+        self.controls: list[panels.Control] = []
+        self.shape = 1.6  # of a table, width by height
+        self.named: list[Any] = []
+        self.pairs: list[Any] = []
+        self.told: tuple[str, ...] = ()
+        self.filling = False  # the controls, which then ask for nothing
+        ui.add_css(STYLE)
+        with ui.element("main").classes("studio"):
+            with ui.element("section").classes("studio-left").props('aria-label="table"'):
+                self.bar()
+                with ui.element("div").classes("studio-tables"):
+                    heard = {name: self.heard(name) for name in ("ready", "stroke", "place", "drag", "erase", "pull")}
+                    with ui.element("div"):
+                        self.first = Drawing("the table: draw a motion here", **heard)
+                    with ui.element("div") as self.beside:
+                        self.second = Drawing("the second learner", active=False, ready=self.on_ready)
+                self.line = ui.label().classes("studio-note").props("role=status")
+                self.chart()
+            with ui.element("section").classes("studio-right").props('aria-label="settings"'):
+                panels.build(self)
+        studio.views.append(self)
+        ui.context.client.on_delete(lambda: studio.views.remove(self))
+        ui.timer(1 / PICTURES, self.draw)
+        self.news("problem")
+
+    # ------------------------------------------------------------------ what is heard
+
+    def news(self, what: str) -> None:
+        """Something to be drawn with the next picture; all of it with a new problem."""
+        self.waiting |= {"problem", "imitation", "side 0", "side 1", "mass"} if what == "problem" else {what}
+
+    def attempt(self, call: Callable[[], object]) -> None:
+        """Do it, or say why not."""
+        try:
+            call()
+        except TorchdsError as error:
+            ui.notify(" ".join(str(error).split()), type="negative", multi_line=True, close_button="OK", timeout=12000)
+
+    def heard(self, name: str) -> Callable[[dict[str, Any]], object]:
+        """What is done about an event of the table."""
+        return lambda said: self.attempt(lambda: getattr(self, f"on_{name}")(said))
+
+    def on_ready(self, said: dict[str, Any]) -> None:
+        """The table is empty, or has another shape."""
+        self.shape = said["width"] / max(said["height"], 1)
+        self.news("problem")
+
+    def on_stroke(self, said: dict[str, Any]) -> None:
+        """A demonstration, or its beginning."""
+        self.studio.draw(said["points"], said["done"])
+
+    def on_place(self, said: dict[str, Any]) -> None:
+        """A via-point, a wall or a region."""
+        self.studio.place(said["kind"], said["from"], said["to"])
+
+    def on_erase(self, said: dict[str, Any]) -> None:
+        """Something is removed."""
+        self.studio.erase(said["kind"], said["index"])
+
+    def on_drag(self, said: dict[str, Any]) -> None:
+        """Start, goal or a via-point is somewhere else, for now or for good."""
+        kind, at = said["kind"], said["at"]
+        if said["done"]:
+            return self.studio.drag(kind, said["index"], at)
+        self.first.show(**self.moved(kind, said["index"], at))
+
+    def on_pull(self, said: dict[str, Any]) -> None:
+        """The hand at the mass."""
+        self.studio.pull(said["at"])
+
+    # ------------------------------------------------------------------ what is shown
+
+    def bar(self) -> None:
+        """The row above the table: examples, undo and redo, and what the pointer does."""
+        with ui.element("div").classes("studio-row"):
+            ui.label("torchds studio").style("font-weight: 600; font-size: 17px").props("role=heading aria-level=1")
+            names = {name: Problem.read(path).name for name, path in examples().items()}
+            ui.select(names, label="example", on_change=lambda e: self.example(e)).props("dense options-dense").style(
+                "min-width: 10rem"
+            )
+            for icon, label, call in (("undo", "undo", self.studio.undo), ("redo", "redo", self.studio.redo)):
+                ui.button(icon=icon, on_click=call).props(f'flat dense aria-label="{label}"').tooltip(label)
+            self.tools = {}
+            for name, (icon, label) in TOOLS.items():
+                button = ui.button(icon=icon, on_click=lambda name=name: self.use(name)).tooltip(label)
+                self.tools[name] = button.props(f'dense aria-label="{label}"')
+        self.tool = "draw"
+
+    def example(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        """Begin with one of the examples."""
+        if event.value is not None:
+            self.studio.put(Problem.read(examples()[event.value]))
+            event.sender.value = None
+
+    def use(self, tool: str) -> None:
+        """What the pointer does from now on."""
+        self.tool = tool
+        self.first.use(tool)
+        for name, button in self.tools.items():
+            button.props(f"aria-pressed={'true' if name == tool else 'false'}")
+            button.props(remove="flat") if name == tool else button.props("flat")
+        if tool == "pull" and self.studio.pushed is None:
+            self.attempt(lambda: self.studio.push("open", 200.0))
+
+    def chart(self) -> None:
+        """Learning curves by term."""
+        self.curves = (
+            ui.echart(
+                {
+                    "animation": False,
+                    "grid": {"left": 64, "right": 16, "top": 46, "bottom": 40},
+                    "legend": {"top": 0, "type": "scroll"},
+                    "xAxis": {
+                        "type": "value",
+                        "name": "roll-outs of each run",
+                        "nameLocation": "middle",
+                        "nameGap": 22,
+                    },
+                    "yAxis": {
+                        "type": "log",
+                        "name": "cost (median of runs)",
+                        "nameGap": 6,
+                        "nameTextStyle": {"align": "left"},
+                    },
+                    "series": [],
+                }
+            )
+            .style("height: 12rem; width: 100%")
+            .props('role=img aria-label="learning curves by cost term"')
+        )
+        self.charted, self.old = 0.0, False
+
+    def draw(self) -> None:
+        """Show what has changed since the last picture."""
+        waiting, self.waiting = self.waiting, set()
+        studio, tables = self.studio, (self.first, self.second)
+        if "problem" in waiting:
+            panels.fill(self)
+            self.beside.set_visibility(len(studio.problem.learners) > 1)
+            for table in tables:
+                table.show(**showing.scenery(studio, self.shape))
+        if "imitation" in waiting:
+            for table in tables:
+                table.show(**showing.imitated(studio))
+        for i, table in enumerate(tables):
+            if waiting & {"imitation", f"side {i}"} and (i == 0 or self.beside.visible):
+                table.show(**showing.learned(studio, i, self.shape))
+        if "mass" in waiting:
+            self.first.show(mass=showing.mass(studio))
+        self.old = self.old or bool(waiting & {"side 0", "side 1"})
+        if self.old and time.monotonic() - self.charted > CURVES:
+            self.charted, self.old = time.monotonic(), False
+            self.curves.options["series"] = showing.series(studio)
+            self.curves.update()
+        if waiting:
+            self.line.set_text(panels.said(studio))
+            panels.told(self)
+
+    def moved(self, kind: str, index: int, at: list[float]) -> dict[str, Any]:
+        """The layers while something is dragged: the motions begin or end elsewhere."""
+        studio = self.studio
+        if kind == "via":
+            return {"via": [at if i == index else point for i, point in enumerate(studio.problem.via_points)]}
+        place = {kind: torch.tensor(at, dtype=torch.float64)}
+        layers: dict[str, Any] = {kind: at}
+        if studio.imitation is not None:
+            layers["imitated"] = [showing.plain(studio.motion(studio.imitation.policy, **place))]
+        if (picture := studio.fresh(0)) is not None:
+            layers["motion"] = [showing.plain(studio.motion(picture.policy, **place))]
+        return layers

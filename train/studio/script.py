@@ -1,0 +1,2 @@
+def script(path: str) -> str:
+    return f"# {path}"

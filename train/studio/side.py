@@ -1,0 +1,139 @@
+"""One of the two learners of the page: its run, the process that learns, and what was last heard of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from tasks.sketch import Problem
+from train.folder import RunFolder
+from train.options import options_class
+from train.studio.learning import Picture, learn
+from train.studio.worker import Failed, Worker
+
+PROBLEM = "problem.json"
+
+
+def stem(problem: Problem) -> str:
+    """Its name, fit for a file."""
+    return re.sub(r"[^a-z0-9]+", "_", problem.name.lower()).strip("_") or "drawing"
+
+
+class Side:
+    """A learning run beside the page. It is one of a problem with one learner, kept in its folder.
+
+    Args:
+        index: which of the problem's learners.
+        logdir: below which its runs are.
+
+    Attributes:
+        folder: of the run; None before the first.
+        problem: that is learned; None before the first run.
+        picture: the last one that came; None before it.
+        complaint: why it does not go on, a sentence; empty where it does.
+    """
+
+    def __init__(self, index: int, logdir: Path) -> None:
+        self.index, self.logdir = index, logdir
+        self.folder: Path | None = None
+        self.problem: Problem | None = None
+        self.picture: Picture | None = None
+        self.complaint = ""
+        self._worker: Worker | None = None
+
+    # ------------------------------------------------------------------ what it is asked
+
+    def wanted(self, problem: Problem) -> Problem | None:
+        """The problem with this side's learner alone; None where it has none."""
+        if self.index >= len(problem.learners):
+            return None
+        return replace(problem, learners=(problem.learners[self.index],))
+
+    def stale(self, problem: Problem) -> bool:
+        """Whether its run is of another problem, or with other settings."""
+        return self.problem is not None and self.problem != self.wanted(problem)
+
+    def begin(self, problem: Problem) -> None:
+        """Begin anew, paused; the run before stays where it is.
+
+        Raises:
+            InvalidArgumentError: options that do not fit; the run before goes on.
+            FileError: nothing can be written.
+        """
+        wanted = self.wanted(problem)
+        if wanted is None:
+            return self.end()
+        wanted.demonstrations()  # says what is missing before a folder is made
+        learner = wanted.learners[0]
+        optimizer, seed = str(learner.get("optimizer", "pibb")), int(learner.get("seed", 0))
+        folder = RunFolder.new(self.logdir, stem(wanted), optimizer, seed)
+        wanted.write(folder.path / PROBLEM)
+        options = options_class(str(folder.path / PROBLEM))()
+        folder.begin(options.task, options.to_json())
+        self.end()
+        self.open(folder.path)
+
+    def open(self, folder: Path) -> None:
+        """Go on with the run in a folder, paused."""
+        self.problem = Problem.read(folder / PROBLEM)
+        self.folder, self.picture, self.complaint = folder, None, ""
+        self._worker = Worker(learn, folder)
+
+    def go(self, pace: float) -> None:
+        """Make so many updates a second."""
+        self._tell("go", pace)
+
+    def step(self) -> None:
+        """Make one update."""
+        self._tell("step", None)
+
+    def pause(self) -> None:
+        """Stop after this update."""
+        if self._worker is not None:
+            self._worker.tell(("pause", None))
+
+    def end(self) -> None:
+        """Let the process go; the run stays in its folder."""
+        if self._worker is not None:
+            self._worker.end()
+        self._worker = None
+
+    def _tell(self, word: str, pace: float | None) -> None:
+        if self._worker is None and self.folder is not None:  # it was lost, and goes on where it was
+            self.open(self.folder)
+        if self._worker is not None:
+            self._worker.tell((word, pace))
+
+    # ------------------------------------------------------------------ what it answers
+
+    @property
+    def process(self) -> int | None:
+        """The number of its process."""
+        return None if self._worker is None else self._worker.process.pid
+
+    @property
+    def running(self) -> bool:
+        """Whether it makes updates by itself."""
+        return self._worker is not None and self.picture is not None and self.picture.running
+
+    def heard(self) -> bool:
+        """Take what has come; whether there was anything."""
+        if self._worker is None:
+            return False
+        answers = self._worker.answers()
+        if answers is None:
+            done = 0 if self.picture is None else self.picture.done
+            self.complaint = self.complaint or (
+                f"The learner's process has ended. What it had learned after {done} updates is kept: Go goes on there."
+            )
+            if self.picture is not None:
+                self.picture = self.picture._replace(running=False)
+            self.end()
+            return True
+        for answer in answers:
+            if isinstance(answer, Failed):
+                self.complaint = answer.message
+            else:
+                self.picture = answer
+        return bool(answers)

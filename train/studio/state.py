@@ -1,0 +1,374 @@
+"""What the page is about: the problem, what it was before, what was made of it, and who looks at it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from tasks import Task
+from tasks.sketch import Problem, Sketch, examples
+from torchds import Demonstrations, GMRPolicy, files, plotting, rollout
+from torchds.errors import InvalidArgumentError, TorchdsError
+from train.folder import make_folder
+from train.studio.imitating import Imitation, imitate
+from train.studio.learning import Picture
+from train.studio.pushing import Execution, Pushed
+from train.studio.side import Side
+from train.studio.worker import Failed, Worker
+
+TABLE = (-1.0, 1.0, -0.625, 0.625)  # left, right, low, high
+SMALL = 0.1  # what fills less of the table than this share is looked at from nearer
+STATE = "state.json"
+FEWEST = 5  # places that make a motion
+MOST_SAMPLES = 2000  # of a recorded motion
+REACH, MOMENT = 0.25, 0.3  # table widths; s
+
+
+class View(Protocol):
+    """Somebody who looks at it."""
+
+    def news(self, what: str) -> None:
+        """Something has changed: "problem", "imitation", "side 0", "side 1" or "mass"."""
+
+
+class Studio:
+    """One problem, whoever looks at it from however many windows; every change is kept at once.
+
+    Args:
+        folder: where the state is kept, and found again.
+
+    Attributes:
+        problem: as it is now.
+        imitation: what was last made of the drawing; None where nothing could be.
+        complaint: why nothing could be, a sentence.
+        sides: the two learners.
+        pushed: the mass that can be pulled at; None where there is none.
+        table: what is seen of the plane, left, right, low and high.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        make_folder(folder)
+        self.problem = Problem.read(examples()["an_s"])
+        self.past: list[Problem] = []
+        self.future: list[Problem] = []
+        self.views: list[View] = []
+        self.imitation: Imitation | None = None
+        self.complaint = ""
+        self.sides = [Side(i, folder.parent) for i in range(2)]
+        self.pushed: Pushed | None = None
+        self.table = TABLE
+        self._task: Task | None = None
+        self._asked = 0
+        self._imitator = Worker(imitate)
+        self._restore()
+        self._renewed()
+
+    # ------------------------------------------------------------------ what is kept
+
+    def _restore(self) -> None:
+        """The state of the last time; what cannot be read any more is left out."""
+        path = self.folder / STATE
+        if not path.is_file():
+            return
+        try:
+            state = json.loads(path.read_text(encoding="utf-8"))
+            self.problem = Problem.from_json(state["problem"])
+            runs = [run and Path(run) for run in state["runs"]]
+        except (OSError, ValueError, KeyError, TypeError, TorchdsError):
+            path.replace(path.with_suffix(".unread.json"))
+            return
+        for side, run in zip(self.sides, runs, strict=False):
+            try:
+                if run is not None:
+                    side.open(run)
+            except (OSError, TorchdsError):
+                continue
+
+    def keep(self) -> None:
+        """Write the state."""
+        runs = [None if side.folder is None else str(side.folder) for side in self.sides]
+        text = json.dumps({"problem": self.problem.to_json(), "runs": runs})
+        files.write_text(self.folder / STATE, text)
+
+    # ------------------------------------------------------------------ the problem
+
+    def change(self, **fields: Any) -> None:
+        """Other values for fields of the problem's file.
+
+        Raises:
+            InvalidArgumentError: a value that it cannot have; nothing is changed.
+        """
+        self.put(Problem.from_json({**self.problem.to_json(), **fields}))
+
+    def put(self, problem: Problem) -> None:
+        """Another problem, which can be undone."""
+        if problem != self.problem:
+            self.past.append(self.problem)
+            self.future.clear()
+            self._set(problem)
+
+    def undo(self) -> None:
+        """The problem as it was before the last change."""
+        if self.past:
+            self.future.append(self.problem)
+            self._set(self.past.pop())
+
+    def redo(self) -> None:
+        """What was undone last."""
+        if self.future:
+            self.past.append(self.problem)
+            self._set(self.future.pop())
+
+    def _set(self, problem: Problem) -> None:
+        drawn = [{**each.to_json(), "learners": [], "name": ""} for each in (self.problem, problem)]
+        self.problem = problem
+        self.keep()
+        for side in self.sides:
+            if side.running and side.stale(problem):
+                side.pause()
+        if drawn[0] != drawn[1]:
+            self._renewed()
+        self.tell("problem", "side 0", "side 1")
+
+    def _renewed(self) -> None:
+        """Another drawing: the table, the task, and what is to be imitated."""
+        self._task = None
+        self.table = seen(self.points(), self.table)
+        self.imitate(self.problem)
+
+    def imitate(self, problem: Problem) -> None:
+        """Ask for the system of a drawing, this one or one that is still being drawn."""
+        self._asked += 1
+        if problem.strokes:
+            return self._imitator.tell((self._asked, problem))
+        self.imitation, self.pushed, self.complaint = None, None, ""
+        self.tell("imitation", "mass")
+
+    def points(self) -> Tensor:
+        """`(n, 2)` all places in the problem."""
+        p = self.problem.to_json()
+        places = [point[-2:] for stroke in p["strokes"] for point in stroke]
+        places += [*p["via_points"], *(end for wall in p["walls"] for end in wall)]
+        places += [place for place in (p["start"], p["goal"]) if place is not None]
+        for region in p["regions"]:
+            places += [[x + s * region["radius"] for x in region["center"]] for s in (-1, 1)]
+        return torch.tensor(places, dtype=torch.float64).reshape(-1, 2)
+
+    # ------------------------------------------------------------------ what the pointer does
+
+    def draw(self, points: list[list[float]], done: bool) -> None:
+        """A stroke of the pointer, `[t, x1, x2]` each with any clock; the system follows before it is done.
+
+        Raises:
+            InvalidArgumentError: a stroke that says nothing, once it is done.
+        """
+        begun = points[0][0]
+        stroke = [[round(t - begun, 4), round(x1, 5), round(x2, 5)] for t, x1, x2 in points]
+        if done and len({tuple(row[1:]) for row in stroke}) < FEWEST:
+            raise InvalidArgumentError("that was too short for a motion: keep the pointer down and draw on")
+        drawn = {"strokes": [*self.problem.to_json()["strokes"], stroke]}
+        if done:
+            return self.change(**drawn)
+        with contextlib.suppress(TorchdsError):  # it has just begun
+            self.imitate(Problem.from_json({**self.problem.to_json(), **drawn}))
+
+    def add(self, demos: Demonstrations) -> None:
+        """Recorded motions beside what is drawn.
+
+        Raises:
+            InvalidArgumentError: they are not in the plane.
+        """
+        if demos.dim != 2:
+            raise InvalidArgumentError(f"the table is a plane: motions have to have 2 dimensions, got {demos.dim}")
+        longest = max(len(d.x) for d in demos)
+        if longest > MOST_SAMPLES:
+            demos = demos.every(-(-longest // MOST_SAMPLES))
+        strokes = [[[i * d.dt, *row] for i, row in enumerate(d.x.tolist())] for d in demos]
+        unit = self.problem.unit if self.problem.strokes else demos.units[0]
+        self.change(strokes=[*self.problem.to_json()["strokes"], *strokes], unit=unit)
+
+    def place(self, kind: str, begin: list[float], end: list[float]) -> None:
+        """A via-point at `end`, a wall between both, or a forbidden disc around `begin`."""
+        p = self.problem.to_json()
+        if kind == "via":
+            self.change(via_points=[*p["via_points"], end])
+        elif kind == "wall":
+            self.change(walls=[*p["walls"], [begin, end]])
+        else:
+            self.change(regions=[*p["regions"], {"center": begin, "radius": math.dist(begin, end)}])
+
+    def drag(self, kind: str, index: int, at: list[float]) -> None:
+        """The start, the goal or a via-point is elsewhere."""
+        if kind == "via":
+            points = self.problem.to_json()["via_points"]
+            self.change(via_points=[at if i == index else point for i, point in enumerate(points)])
+        else:
+            self.change(**{kind: at})
+
+    def erase(self, kind: str, index: int) -> None:
+        """A stroke, a via-point, a wall or a region goes."""
+        name = {"via": "via_points"}.get(kind, kind)
+        self.change(**{name: [item for i, item in enumerate(self.problem.to_json()[name]) if i != index]})
+
+    def pull(self, at: list[float] | None) -> None:
+        """The hand pulls from here, or lets go."""
+        if self.pushed is not None:
+            self.pushed.hold(None if at is None else torch.tensor(at, dtype=torch.float64))
+
+    def nudge(self, direction: tuple[float, float]) -> None:
+        """Pull at the mass for a moment from a quarter of the table's width away."""
+        if self.pushed is not None:
+            away = REACH * (self.table[1] - self.table[0]) * torch.tensor(direction, dtype=torch.float64)
+            self.pushed.hold(self.pushed.at + away, MOMENT)
+
+    def let_go(self) -> None:
+        """Take the mass away."""
+        self.pushed = None
+        self.tell("mass")
+
+    @property
+    def task(self) -> Task | None:
+        """The task of the problem; None where nothing is drawn."""
+        if self._task is None and self.problem.strokes:
+            self._task = Sketch.of(self.problem)()
+        return self._task
+
+    # ------------------------------------------------------------------ motions
+
+    def fresh(self, index: int) -> Picture | None:
+        """What a side has learned of this problem; None where it has not, or of another one."""
+        side = self.sides[index]
+        return None if side.stale(self.problem) else side.picture
+
+    def policy(self, index: int = 0) -> GMRPolicy | None:
+        """What a side has learned, or else what is imitated."""
+        picture = self.fresh(index)
+        if picture is not None:
+            return picture.policy
+        return None if self.imitation is None else self.imitation.policy
+
+    @torch.no_grad()
+    def motion(self, policy: GMRPolicy, start: Tensor | None = None, goal: Tensor | None = None) -> Tensor:
+        """`(T+1, 2)` the motion of a policy, as if it began or ended elsewhere."""
+        task = self.task
+        assert task is not None
+        x0, n_steps, dt = task.motion()
+        shift = None if goal is None else goal - task.scene().goal
+        x = rollout(
+            policy,
+            x0 if start is None else start,
+            n_steps,
+            dt,
+            stop=task.stop,
+            plant=task.plant,
+            feedback=task.feedback,
+            shift=shift,
+        ).x
+        return x.reshape(-1, *x.shape[-2:])[0]
+
+    def push(self, execution: Execution, stiffness: float, index: int = 0) -> None:
+        """Put the mass to the start of the motion, to be pulled at.
+
+        Raises:
+            InvalidArgumentError: nothing is drawn.
+        """
+        policy, task = self.policy(index), self.task
+        if policy is None or task is None:
+            raise InvalidArgumentError("there is no motion yet; draw one first")
+        self.pushed = Pushed(policy, task.motion().x0, execution, stiffness)
+        self.tell("mass")
+
+    # ------------------------------------------------------------------ learning
+
+    def go(self, pace: float) -> None:
+        """Let both sides learn, anew where the problem is another one, so many updates a second.
+
+        Raises:
+            TorchdsError: nothing is drawn, or options that do not fit.
+        """
+        for side in self._learning():
+            if side.problem is None or side.stale(self.problem):
+                side.begin(self.problem)
+            side.go(pace)
+        self.keep()
+
+    def step(self) -> None:
+        """One update of both sides; as for `go`."""
+        for side in self._learning():
+            if side.problem is None or side.stale(self.problem):
+                side.begin(self.problem)
+            side.step()
+        self.keep()
+
+    def pause(self) -> None:
+        """Stop both sides after this update."""
+        for side in self.sides:
+            side.pause()
+
+    def reset(self) -> None:
+        """Begin anew, paused; the runs before stay in their folders."""
+        for side in self._learning():
+            side.begin(self.problem)
+        self.keep()
+        self.tell("side 0", "side 1")
+
+    def _learning(self) -> list[Side]:
+        if not self.problem.strokes:
+            raise InvalidArgumentError("nothing is drawn yet; draw a motion first")
+        return self.sides[: len(self.problem.learners)]
+
+    # ------------------------------------------------------------------ time
+
+    def tick(self, seconds: float) -> None:
+        """Hear what has come, and let the mass move on."""
+        answers = self._imitator.answers()
+        if answers is None:  # it was killed
+            self._imitator.end()
+            self._imitator = Worker(imitate)
+            self.imitate(self.problem)
+        for number, answer in answers or ():
+            if number == self._asked:
+                self.complaint = answer.message if isinstance(answer, Failed) else ""
+                self.imitation = None if isinstance(answer, Failed) else answer
+                self.tell("imitation")
+        for i, side in enumerate(self.sides):
+            if side.heard():
+                self.tell(f"side {i}")
+        if self.pushed is not None:
+            self.pushed.go_on(min(seconds, 0.1))
+            if self.pushed.lost:
+                self.pushed = None
+            self.tell("mass")
+
+    def tell(self, *news: str) -> None:
+        """Let everybody know who looks."""
+        for view in self.views:
+            for what in news:
+                view.news(what)
+
+    def end(self) -> None:
+        """Let all processes go."""
+        self.keep()
+        for side in self.sides:
+            side.end()
+        self._imitator.end()
+
+
+def seen(points: Tensor, table: tuple[float, ...]) -> tuple[float, ...]:
+    """What is shown of the plane: the same as before where everything is on it and fills it, else what all of it needs."""
+    if not len(points):
+        return TABLE
+    size = points.amax(0) - points.amin(0)
+    for left, right, low, high in (table, TABLE):
+        inside = (points >= torch.tensor([left, low])).all() and (points <= torch.tensor([right, high])).all()
+        if inside and (len(points) < FEWEST or float(size.max()) >= SMALL * (right - left)):
+            return left, right, low, high
+    (left, right), (low, high) = plotting.limits(points)
+    return left, right, low, high
