@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from functools import partial
 from typing import NamedTuple
 
 from torch import Tensor
@@ -40,7 +41,7 @@ def imitate(pipe: Pipe) -> None:
         number, problem = pipe.next()
         while pipe.waits():
             number, problem = pipe.next()
-        pipe.send((number, said(lambda problem=problem: imitated(problem))))
+        pipe.send((number, said(partial(imitated, problem))))
 
 
 def imitated(problem: Problem) -> Imitation:

@@ -14,6 +14,7 @@ from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.learning.figures import draw_scene
 from train.studio.script import script
+from train.studio.side import stem
 from train.studio.state import Studio
 
 
@@ -37,7 +38,17 @@ def policy(studio: Studio, index: int = 0) -> bytes:
 
 def program(studio: Studio) -> bytes:
     """The Python script that does the same."""
-    return script(f"{studio.problem.stem}.json").encode()
+    return script(f"{stem(studio.problem)}.json").encode()
+
+
+def svg(studio: Studio) -> bytes:
+    """What is on the table, in lines."""
+    return picture(studio, "svg")
+
+
+def png(studio: Studio) -> bytes:
+    """What is on the table, in pixels."""
+    return picture(studio, "png")
 
 
 @torch.no_grad()

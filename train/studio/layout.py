@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from nicegui import app, events, ui
+from nicegui import app, ui
 
 from tasks.sketch import Problem, examples
 from torchds.errors import TorchdsError
-from train.studio import panels, showing
-from train.studio.drawing import Drawing
+from train.studio import changes, panels, showing
+from train.studio.drawing import EVENTS, Drawing
 from train.studio.state import Studio
 
 PICTURES = 30.0  # a second, at most
@@ -69,22 +69,21 @@ class View:
     def __init__(self, studio: Studio) -> None:
         self.studio = studio
         self.waiting: set[str] = set()
-        self.controls: list[panels.Control] = []
+        self.controls: dict[Any, Callable[[dict[str, Any]], Any]] = {}  # what each shows of a problem
+        self.tellers: list[Callable[[], object]] = []  # that say in words how things are
         self.shape = 1.6  # of a table, width by height
-        self.named: list[Any] = []
-        self.pairs: list[Any] = []
-        self.told: tuple[str, ...] = ()
         self.filling = False  # the controls, which then ask for nothing
         ui.add_css(STYLE)
         with ui.element("main").classes("studio"):
             with ui.element("section").classes("studio-left").props('aria-label="table"'):
                 self.bar()
                 with ui.element("div").classes("studio-tables"):
-                    heard = {name: self.heard(name) for name in ("ready", "stroke", "place", "drag", "erase", "pull")}
                     with ui.element("div"):
-                        self.first = Drawing("the table: draw a motion here", **heard)
+                        self.first = Drawing(
+                            "the table: draw a motion here", {name: self.heard(name) for name in EVENTS}
+                        )
                     with ui.element("div") as self.beside:
-                        self.second = Drawing("the second learner", active=False, ready=self.on_ready)
+                        self.second = Drawing("the second learner", {"ready": self.on_ready}, active=False)
                 self.line = ui.label().classes("studio-note").props("role=status")
                 self.chart()
             with ui.element("section").classes("studio-right").props('aria-label="settings"'):
@@ -122,17 +121,17 @@ class View:
 
     def on_place(self, said: dict[str, Any]) -> None:
         """A via-point, a wall or a region."""
-        self.studio.place(said["kind"], said["from"], said["to"])
+        self.studio.change(**changes.placed(self.studio.problem, said["kind"], said["from"], said["to"]))
 
     def on_erase(self, said: dict[str, Any]) -> None:
         """Something is removed."""
-        self.studio.erase(said["kind"], said["index"])
+        self.studio.change(**changes.erased(self.studio.problem, said["kind"], said["index"]))
 
     def on_drag(self, said: dict[str, Any]) -> None:
         """Start, goal or a via-point is somewhere else, for now or for good."""
         kind, at = said["kind"], said["at"]
         if said["done"]:
-            return self.studio.drag(kind, said["index"], at)
+            return self.studio.change(**changes.dragged(self.studio.problem, kind, said["index"], at))
         self.first.show(**self.moved(kind, said["index"], at))
 
     def on_pull(self, said: dict[str, Any]) -> None:
@@ -146,9 +145,8 @@ class View:
         with ui.element("div").classes("studio-row"):
             ui.label("torchds studio").style("font-weight: 600; font-size: 17px").props("role=heading aria-level=1")
             names = {name: Problem.read(path).name for name, path in examples().items()}
-            ui.select(names, label="example", on_change=lambda e: self.example(e)).props("dense options-dense").style(
-                "min-width: 10rem"
-            )
+            self.examples = ui.select(names, label="example", on_change=lambda e: self.example(e.value))
+            self.examples.props("dense options-dense").style("min-width: 10rem")
             for icon, label, call in (("undo", "undo", self.studio.undo), ("redo", "redo", self.studio.redo)):
                 ui.button(icon=icon, on_click=call).props(f'flat dense aria-label="{label}"').tooltip(label)
             self.tools = {}
@@ -157,11 +155,11 @@ class View:
                 self.tools[name] = button.props(f'dense aria-label="{label}"')
         self.tool = "draw"
 
-    def example(self, event: events.ValueChangeEventArguments[Any]) -> None:
+    def example(self, name: str | None) -> None:
         """Begin with one of the examples."""
-        if event.value is not None:
-            self.studio.put(Problem.read(examples()[event.value]))
-            event.sender.value = None
+        if name is not None:
+            self.studio.put(Problem.read(examples()[name]))
+            self.examples.value = None
 
     def use(self, tool: str) -> None:
         """What the pointer does from now on."""
@@ -206,7 +204,7 @@ class View:
         waiting, self.waiting = self.waiting, set()
         studio, tables = self.studio, (self.first, self.second)
         if "problem" in waiting:
-            panels.fill(self)
+            self.fill()
             self.beside.set_visibility(len(studio.problem.learners) > 1)
             for table in tables:
                 table.show(**showing.scenery(studio, self.shape))
@@ -225,15 +223,27 @@ class View:
             self.curves.update()
         if waiting:
             self.line.set_text(panels.said(studio))
-            panels.told(self)
+            for tell in self.tellers:
+                tell()
+
+    def fill(self) -> None:
+        """Show the problem in all controls."""
+        self.filling, p = True, self.studio.problem.to_json()
+        try:
+            for element, read in self.controls.items():
+                element.value = read(p)
+        finally:
+            self.filling = False
 
     def moved(self, kind: str, index: int, at: list[float]) -> dict[str, Any]:
         """The layers while something is dragged: the motions begin or end elsewhere."""
         studio = self.studio
         if kind == "via":
-            return {"via": [at if i == index else point for i, point in enumerate(studio.problem.via_points)]}
+            return {"via": changes.dragged(studio.problem, kind, index, at)["via_points"]}
         place = {kind: torch.tensor(at, dtype=torch.float64)}
         layers: dict[str, Any] = {kind: at}
+        if studio.task is None:
+            return layers
         if studio.imitation is not None:
             layers["imitated"] = [showing.plain(studio.motion(studio.imitation.policy, **place))]
         if (picture := studio.fresh(0)) is not None:

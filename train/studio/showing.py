@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchds import plotting
 from train.studio.state import Studio
+from train.studio.table import widened
 
 COLUMNS = 28  # of arrows
 LONGEST = 0.8  # arrow, in distances between two of them
@@ -20,20 +21,12 @@ def plain(x: Tensor | np.ndarray) -> Any:
     return np.round(np.nan_to_num(np.asarray(x, dtype=float)), 4).tolist()
 
 
-def window(studio: Studio, shape: float) -> tuple[float, float, float, float]:
-    """What is seen on a table of this shape, width by height: left, right, low, high."""
-    left, right, low, high = studio.table
-    width, height = max(right - left, shape * (high - low)), max(high - low, (right - left) / shape)
-    x, y = (left + right) / 2, (low + high) / 2
-    return x - width / 2, x + width / 2, y - height / 2, y + height / 2
-
-
 def scenery(studio: Studio, shape: float) -> dict[str, Any]:
     """All that was drawn and placed."""
     p, task = studio.problem, studio.task
     scene = None if task is None else task.scene()
     return {
-        "view": window(studio, shape),
+        "view": widened(studio.table, shape),
         "unit": p.unit,
         "strokes": [[row[1:] for row in stroke] for stroke in p.strokes],
         "via": p.via_points,
@@ -69,7 +62,7 @@ def field(studio: Studio, index: int, shape: float) -> list[Any]:
     policy = studio.policy(index)
     if policy is None:
         return []
-    left, right, low, high = window(studio, shape)
+    left, right, low, high = widened(studio.table, shape)
     grid, v = plotting.velocities(policy, (left, right), (low, high), COLUMNS, round(COLUMNS / shape))
     x, v = grid.reshape(-1, 2), v.reshape(-1, v.shape[-1])[:, :2]
     speed = np.linalg.norm(v, axis=-1, keepdims=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import math
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,20 +13,19 @@ from torch import Tensor
 
 from tasks import Task
 from tasks.sketch import Problem, Sketch, examples
-from torchds import Demonstrations, GMRPolicy, files, plotting, rollout
+from torchds import GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.folder import make_folder
+from train.studio import changes, kept
 from train.studio.imitating import Imitation, imitate
 from train.studio.learning import Picture
 from train.studio.pushing import Execution, Pushed
 from train.studio.side import Side
+from train.studio.table import TABLE, points, seen
 from train.studio.worker import Failed, Worker
 
-TABLE = (-1.0, 1.0, -0.625, 0.625)  # left, right, low, high
-SMALL = 0.1  # what fills less of the table than this share is looked at from nearer
-STATE = "state.json"
-FEWEST = 5  # places that make a motion
-MOST_SAMPLES = 2000  # of a recorded motion
+FIRST = "an_s"  # of the examples
+SERIES = 1.0  # s between two changes of one slider
 REACH, MOMENT = 0.25, 0.3  # table widths; s
 
 
@@ -55,7 +54,7 @@ class Studio:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         make_folder(folder)
-        self.problem = Problem.read(examples()["an_s"])
+        self.problem, runs = kept.read(folder) or (Problem.read(examples()[FIRST]), [])
         self.past: list[Problem] = []
         self.future: list[Problem] = []
         self.views: list[View] = []
@@ -64,48 +63,38 @@ class Studio:
         self.sides = [Side(i, folder.parent) for i in range(2)]
         self.pushed: Pushed | None = None
         self.table = TABLE
+        self._adjusted: tuple[tuple[str, ...], float] = ((), 0.0)
         self._task: Task | None = None
         self._asked = 0
         self._imitator = Worker(imitate)
-        self._restore()
-        self._renewed()
-
-    # ------------------------------------------------------------------ what is kept
-
-    def _restore(self) -> None:
-        """The state of the last time; what cannot be read any more is left out."""
-        path = self.folder / STATE
-        if not path.is_file():
-            return
-        try:
-            state = json.loads(path.read_text(encoding="utf-8"))
-            self.problem = Problem.from_json(state["problem"])
-            runs = [run and Path(run) for run in state["runs"]]
-        except (OSError, ValueError, KeyError, TypeError, TorchdsError):
-            path.replace(path.with_suffix(".unread.json"))
-            return
         for side, run in zip(self.sides, runs, strict=False):
-            try:
-                if run is not None:
+            if run is not None:
+                with contextlib.suppress(TorchdsError):  # it was removed
                     side.open(run)
-            except (OSError, TorchdsError):
-                continue
+        self._renewed()
 
     def keep(self) -> None:
         """Write the state."""
-        runs = [None if side.folder is None else str(side.folder) for side in self.sides]
-        text = json.dumps({"problem": self.problem.to_json(), "runs": runs})
-        files.write_text(self.folder / STATE, text)
+        kept.write(self.folder, self.problem, [side.folder for side in self.sides])
 
     # ------------------------------------------------------------------ the problem
 
     def change(self, **fields: Any) -> None:
-        """Other values for fields of the problem's file.
+        """Other values for fields of the problem.
 
         Raises:
             InvalidArgumentError: a value that it cannot have; nothing is changed.
         """
-        self.put(Problem.from_json({**self.problem.to_json(), **fields}))
+        self.put(replace(self.problem, **fields))
+
+    def adjust(self, **fields: Any) -> None:
+        """The same, where a series of changes of the same fields, by a slider, is undone at once."""
+        now, names = time.monotonic(), tuple(fields)
+        series = names == self._adjusted[0] and now - self._adjusted[1] < SERIES
+        self.change(**fields)
+        if series and len(self.past) > 1:
+            self.past.pop()
+        self._adjusted = names, now
 
     def put(self, problem: Problem) -> None:
         """Another problem, which can be undone."""
@@ -127,20 +116,19 @@ class Studio:
             self._set(self.future.pop())
 
     def _set(self, problem: Problem) -> None:
-        drawn = [{**each.to_json(), "learners": [], "name": ""} for each in (self.problem, problem)]
-        self.problem = problem
+        before, self.problem = self.problem, problem
         self.keep()
         for side in self.sides:
             if side.running and side.stale(problem):
                 side.pause()
-        if drawn[0] != drawn[1]:
+        if replace(before, learners=problem.learners, name=problem.name) != problem:
             self._renewed()
         self.tell("problem", "side 0", "side 1")
 
     def _renewed(self) -> None:
         """Another drawing: the table, the task, and what is to be imitated."""
         self._task = None
-        self.table = seen(self.points(), self.table)
+        self.table = seen(points(self.problem), self.table)
         self.imitate(self.problem)
 
     def imitate(self, problem: Problem) -> None:
@@ -151,71 +139,20 @@ class Studio:
         self.imitation, self.pushed, self.complaint = None, None, ""
         self.tell("imitation", "mass")
 
-    def points(self) -> Tensor:
-        """`(n, 2)` all places in the problem."""
-        p = self.problem.to_json()
-        places = [point[-2:] for stroke in p["strokes"] for point in stroke]
-        places += [*p["via_points"], *(end for wall in p["walls"] for end in wall)]
-        places += [place for place in (p["start"], p["goal"]) if place is not None]
-        for region in p["regions"]:
-            places += [[x + s * region["radius"] for x in region["center"]] for s in (-1, 1)]
-        return torch.tensor(places, dtype=torch.float64).reshape(-1, 2)
-
     # ------------------------------------------------------------------ what the pointer does
 
     def draw(self, points: list[list[float]], done: bool) -> None:
-        """A stroke of the pointer, `[t, x1, x2]` each with any clock; the system follows before it is done.
+        """A stroke of the pointer, see `changes.stroke`; the system follows before it is done.
 
         Raises:
             InvalidArgumentError: a stroke that says nothing, once it is done.
         """
-        begun = points[0][0]
-        stroke = [[round(t - begun, 4), round(x1, 5), round(x2, 5)] for t, x1, x2 in points]
-        if done and len({tuple(row[1:]) for row in stroke}) < FEWEST:
-            raise InvalidArgumentError("that was too short for a motion: keep the pointer down and draw on")
-        drawn = {"strokes": [*self.problem.to_json()["strokes"], stroke]}
+        fields = changes.stroke(self.problem, points)
         if done:
-            return self.change(**drawn)
+            changes.complete(points)
+            return self.change(**fields)
         with contextlib.suppress(TorchdsError):  # it has just begun
-            self.imitate(Problem.from_json({**self.problem.to_json(), **drawn}))
-
-    def add(self, demos: Demonstrations) -> None:
-        """Recorded motions beside what is drawn.
-
-        Raises:
-            InvalidArgumentError: they are not in the plane.
-        """
-        if demos.dim != 2:
-            raise InvalidArgumentError(f"the table is a plane: motions have to have 2 dimensions, got {demos.dim}")
-        longest = max(len(d.x) for d in demos)
-        if longest > MOST_SAMPLES:
-            demos = demos.every(-(-longest // MOST_SAMPLES))
-        strokes = [[[i * d.dt, *row] for i, row in enumerate(d.x.tolist())] for d in demos]
-        unit = self.problem.unit if self.problem.strokes else demos.units[0]
-        self.change(strokes=[*self.problem.to_json()["strokes"], *strokes], unit=unit)
-
-    def place(self, kind: str, begin: list[float], end: list[float]) -> None:
-        """A via-point at `end`, a wall between both, or a forbidden disc around `begin`."""
-        p = self.problem.to_json()
-        if kind == "via":
-            self.change(via_points=[*p["via_points"], end])
-        elif kind == "wall":
-            self.change(walls=[*p["walls"], [begin, end]])
-        else:
-            self.change(regions=[*p["regions"], {"center": begin, "radius": math.dist(begin, end)}])
-
-    def drag(self, kind: str, index: int, at: list[float]) -> None:
-        """The start, the goal or a via-point is elsewhere."""
-        if kind == "via":
-            points = self.problem.to_json()["via_points"]
-            self.change(via_points=[at if i == index else point for i, point in enumerate(points)])
-        else:
-            self.change(**{kind: at})
-
-    def erase(self, kind: str, index: int) -> None:
-        """A stroke, a via-point, a wall or a region goes."""
-        name = {"via": "via_points"}.get(kind, kind)
-        self.change(**{name: [item for i, item in enumerate(self.problem.to_json()[name]) if i != index]})
+            self.imitate(replace(self.problem, **fields))
 
     def pull(self, at: list[float] | None) -> None:
         """The hand pulls from here, or lets go."""
@@ -359,16 +296,3 @@ class Studio:
         for side in self.sides:
             side.end()
         self._imitator.end()
-
-
-def seen(points: Tensor, table: tuple[float, ...]) -> tuple[float, ...]:
-    """What is shown of the plane: the same as before where everything is on it and fills it, else what all of it needs."""
-    if not len(points):
-        return TABLE
-    size = points.amax(0) - points.amin(0)
-    for left, right, low, high in (table, TABLE):
-        inside = (points >= torch.tensor([left, low])).all() and (points <= torch.tensor([right, high])).all()
-        if inside and (len(points) < FEWEST or float(size.max()) >= SMALL * (right - left)):
-            return left, right, low, high
-    (left, right), (low, high) = plotting.limits(points)
-    return left, right, low, high

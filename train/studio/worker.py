@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import pickle
 import signal
+import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -14,8 +15,12 @@ import torch
 
 from torchds.errors import TorchdsError
 
-
-PRELOADED = ["__main__", "train.studio.imitating", "train.studio.learning", "torchds.kernels.cpu"]  # by the process that the others begin as
+PRELOADED = [
+    "__main__",
+    "train.studio.imitating",
+    "train.studio.learning",
+    "torchds.kernels.cpu",
+]  # by the process that the others begin as
 
 
 class Failed(NamedTuple):
@@ -56,11 +61,17 @@ class Worker:
     """
 
     def __init__(self, work: Callable[..., None], *arguments: Any) -> None:
-        context = multiprocessing.get_context("forkserver")  # threads of the page may hold locks, which a fork would inherit
+        context = multiprocessing.get_context(
+            "forkserver"
+        )  # threads of the page may hold locks, which a fork would inherit
         context.set_forkserver_preload(PRELOADED)
         here, there = context.Pipe()
         self.pipe = Pipe(here)
         self.process = context.Process(target=_main, args=(there, work, arguments), daemon=True)
+        self._beginning = threading.Thread(target=self._begin, args=(there,), daemon=True)
+        self._beginning.start()  # the first process takes seconds to import everything
+
+    def _begin(self, there: Connection) -> None:
         self.process.start()
         there.close()
 
@@ -81,6 +92,7 @@ class Worker:
 
     def end(self) -> None:
         """Let it go; whatever it is doing, it ends soon."""
+        self._beginning.join()
         self.pipe.connection.close()
         self.process.join(5)
         if self.process.is_alive():

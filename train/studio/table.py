@@ -1,0 +1,46 @@
+"""What is seen of the plane."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from tasks.sketch import Problem
+from torchds import plotting
+
+Window = tuple[float, float, float, float]  # left, right, low, high
+
+TABLE: Window = (-1.0, 1.0, -0.625, 0.625)
+SMALL = 0.1  # what fills less of the width than this share is looked at from nearer
+FEW = 5  # places that say nothing about size
+
+
+def points(problem: Problem) -> Tensor:
+    """`(n, 2)` all places in a problem."""
+    places = [row[1:] for stroke in problem.strokes for row in stroke]
+    places += [*problem.via_points, *(end for wall in problem.walls for end in wall)]
+    places += [place for place in (problem.start, problem.goal) if place is not None]
+    for region in problem.regions:
+        places += [tuple(x + side * region["radius"] for x in region["center"]) for side in (-1, 1)]
+    return torch.tensor(places, dtype=torch.float64).reshape(-1, 2)
+
+
+def seen(places: Tensor, before: Window) -> Window:
+    """What is shown of the plane: as before where all `places` `(n, 2)` are in it and fill it, else what they need."""
+    if not len(places):
+        return TABLE
+    size = float((places.amax(0) - places.amin(0)).max())
+    for left, right, low, high in (before, TABLE):
+        inside = bool((places >= torch.tensor([left, low])).all() and (places <= torch.tensor([right, high])).all())
+        if inside and (len(places) < FEW or size >= SMALL * (right - left)):
+            return left, right, low, high
+    (left, right), (low, high) = plotting.limits(places)
+    return left, right, low, high
+
+
+def widened(window: Window, shape: float) -> Window:
+    """The same with as much beside it as a table of this shape shows, width by height."""
+    left, right, low, high = window
+    width, height = max(right - left, shape * (high - low)), max(high - low, (right - left) / shape)
+    x, y = (left + right) / 2, (low + high) / 2
+    return x - width / 2, x + width / 2, y - height / 2, y + height / 2
