@@ -1,2 +1,0 @@
-def script(path: str) -> str:
-    return f"# {path}"
