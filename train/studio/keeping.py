@@ -10,10 +10,10 @@ from pathlib import Path
 import torch
 from matplotlib.figure import Figure
 
+from tasks.sketch.script import script
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.learning.figures import draw_scene
-from train.studio.script import script
 from train.studio.side import stem
 from train.studio.state import Studio
 
@@ -28,17 +28,20 @@ def demonstrations(studio: Studio) -> bytes:
     return written(".npz", studio.problem.demonstrations().save_npz)
 
 
-def policy(studio: Studio, index: int = 0) -> bytes:
-    """A file that `torchds.load_policy` reads: what this side has learned, or else what is imitated."""
-    found, task = studio.policy(index), studio.task
+def policy(studio: Studio) -> bytes:
+    """A file that `torchds.load_policy` reads: the policies of all runs of the first learner, or else the imitated one."""
+    picture, task = studio.fresh(0), studio.task
+    found = studio.policy() if picture is None else picture.policies
     if found is None or task is None:
         raise InvalidArgumentError("there is no policy yet; draw a motion first")
     return written(".pt", lambda path: found.save(path, **task.about(found)))
 
 
 def program(studio: Studio) -> bytes:
-    """The Python script that does the same."""
-    return script(f"{stem(studio.problem)}.json").encode()
+    """The Python script that does the same; the problem that it reads is kept beside the page's state."""
+    path = studio.folder / f"{stem(studio.problem)}.json"
+    studio.problem.write(path)
+    return script(path).encode()
 
 
 def svg(studio: Studio) -> bytes:

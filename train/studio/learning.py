@@ -35,7 +35,8 @@ class Picture(NamedTuple):
         curves: medians over runs after each update, by cost term, and of the total.
         trials: of the last update, `(N · runs, T', 2)` each, thinned; none before the first.
         motion: `(runs, T', 2)` of the policies as they are, thinned.
-        policy: that of the run with the lowest cost.
+        policies: of all runs, `(runs,)`.
+        best: the run with the lowest cost.
         running: whether it goes on by itself.
     """
 
@@ -45,8 +46,14 @@ class Picture(NamedTuple):
     curves: dict[str, list[float]]
     trials: list[Tensor]
     motion: Tensor
-    policy: GMRPolicy
+    policies: GMRPolicy
+    best: int
     running: bool
+
+    @property
+    def policy(self) -> GMRPolicy:
+        """That of the best run."""
+        return self.policies[self.best]
 
 
 def learn(pipe: Pipe, path: Path) -> None:
@@ -150,7 +157,8 @@ class Apprentice:
                 {**curves, "total": [median(values) for values in history.cost]},
                 [thinned(path.x) for path in trials],
                 thinned(last.x),
-                learner.policy[best(history.cost[-1])],
+                learner.policy,
+                best(history.cost[-1]),
                 self.pace > 0,
             )
         )
