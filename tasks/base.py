@@ -123,11 +123,14 @@ class Task(ABC):
 
     def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
         """The mixture that the policy is made of: `n_components` Gaussians over position and velocity."""
-        floor = self.covariance_floor
-        if floor is None:
-            seen = torch.cat([torch.cat([d.x, d.v], -1) for d in demonstrations])
-            floor = FLOOR * float(seen.var(0).mean())
-        return GaussianMixture.fit(demonstrations, self.n_components, covariance_floor=floor)
+        return GaussianMixture.fit(demonstrations, self.n_components, covariance_floor=self.floor(demonstrations))
+
+    def floor(self, demonstrations: Demonstrations) -> float:
+        """What is added to the covariances of the fit: `covariance_floor`, or its share of these data's variance."""
+        if self.covariance_floor is not None:
+            return self.covariance_floor
+        seen = torch.cat([torch.cat([d.x, d.v], -1) for d in demonstrations])
+        return FLOOR * float(seen.var(0).mean())
 
     def policy(self) -> GMRPolicy:
         """A new policy as learned from the demonstrations: position in, as many velocities out."""

@@ -60,7 +60,10 @@ class Browser:
                     time.sleep(0.05)
             chrome = {"args": [*SOFTWARE, *self.arguments, f"--window-size={self.size[0]},{self.size[1]}"]}
             if self.downloads is not None:
-                chrome["prefs"] = {"download.default_directory": str(self.downloads), "download.prompt_for_download": False}
+                chrome["prefs"] = {
+                    "download.default_directory": str(self.downloads),
+                    "download.prompt_for_download": False,
+                }
             wanted = {"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome}}}
             self.session = f"{base}/session/{call(f'{base}/session', wanted)['sessionId']}"
         except BaseException:

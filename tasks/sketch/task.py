@@ -17,7 +17,7 @@ from tasks.imitation import with_constant_stiffness, with_stiffness, without_sti
 from tasks.loading import absolute, short
 from tasks.settings import Motion, Regions, Scene
 from tasks.sketch.problem import Problem
-from torchds import Demonstrations, GMRPolicy, Rollout, Walls, costs, fit_stable
+from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, Walls, costs, fit_stable
 from torchds.devices import moved
 from torchds.fits import Condition, StableFit
 from torchds.forces import ConstantForce, DivergentForce
@@ -25,6 +25,7 @@ from torchds.impedance import ImpedanceControlled
 from torchds.passive import PassiveControlled
 from torchds.plants import Force, Plant, PointMass
 
+STARTS, TOLERANCE = 3, 1e-4  # of the fit; the likelihood of what hands draw is that of the usual ones to three digits
 RANGE = 100.0  # how far the applied stiffness may go below and above the one at the start, as a factor
 
 
@@ -104,6 +105,13 @@ class Sketch(Task):
         """`(D,)` the goal that is given, or the mean end of the demonstrations."""
         ends = torch.stack([d.x[-1] for d in self.demonstrations])
         return ends.mean(0) if self.problem.goal is None else ends.new_tensor(self.problem.goal)
+
+    def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
+        """The mixture of the drawing, from fewer starts and with a looser tolerance than usual: who draws waits for it."""
+        floor = self.floor(demonstrations)
+        return GaussianMixture.fit(
+            demonstrations, self.n_components, covariance_floor=floor, n_init=STARTS, tol=TOLERANCE
+        )
 
     @cached_property
     def stable_fit(self) -> StableFit:

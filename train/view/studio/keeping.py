@@ -14,8 +14,8 @@ from tasks.sketch.script import script
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.learning.figures import draw_scene
-from train.studio.side import stem
-from train.studio.state import Studio
+from train.view.studio.side import stem
+from train.view.studio.state import Studio
 
 
 def problem(studio: Studio) -> bytes:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from nicegui import ui
 
-from train.studio import asking, running
-from train.studio.state import Studio
-
-if TYPE_CHECKING:
-    from train.studio.layout import View
+from train.view.studio import asking, running
+from train.view.studio.state import Studio
+from train.view.studio.window import Window
 
 ROOMS = {
     "Draw": asking.drawing,
@@ -22,7 +18,7 @@ ROOMS = {
 }
 
 
-def build(view: View) -> None:
+def build(window: Window) -> None:
     """All settings, as tabs."""
     with ui.tabs().props('dense align=left no-caps inline-label aria-label="settings"') as tabs:
         for name in ROOMS:
@@ -30,7 +26,7 @@ def build(view: View) -> None:
     with ui.tab_panels(tabs, value="Draw", keep_alive=True).style("width: 100%"):
         for name, room in ROOMS.items():
             with ui.tab_panel(name).style("padding: 8px 0; gap: 6px"):
-                room(view)
+                room(window)
 
 
 def said(studio: Studio) -> str:

@@ -10,10 +10,10 @@ import torch
 from nicegui import app, ui
 
 from tasks.sketch import Problem, examples
-from torchds.errors import TorchdsError
-from train.studio import changes, panels, showing
-from train.studio.drawing import EVENTS, Drawing
-from train.studio.state import Studio
+from train.view.studio import changes, panels, showing
+from train.view.studio.drawing import EVENTS, Drawing
+from train.view.studio.state import Studio
+from train.view.studio.window import Window
 
 PICTURES = 30.0  # a second, at most
 CURVES = 0.3  # s between two pictures of the learning curves, at least
@@ -63,16 +63,12 @@ def serve(studio: Studio, host: str, port: int, *, show: bool = True) -> None:
     ui.run(host=host, port=port, show=show, reload=False, tailwind=False, show_welcome_message=False)
 
 
-class View:
-    """One window that shows the state and asks for changes of it."""
+class View(Window):
+    """The table, the chart and the settings of one window."""
 
     def __init__(self, studio: Studio) -> None:
-        self.studio = studio
-        self.waiting: set[str] = set()
-        self.controls: dict[Any, Callable[[dict[str, Any]], Any]] = {}  # what each shows of a problem
-        self.tellers: list[Callable[[], object]] = []  # that say in words how things are
+        super().__init__(studio)
         self.shape = 1.6  # of a table, width by height
-        self.filling = False  # the controls, which then ask for nothing
         ui.add_css(STYLE)
         with ui.element("main").classes("studio"):
             with ui.element("section").classes("studio-left").props('aria-label="table"'):
@@ -94,17 +90,6 @@ class View:
         self.news("problem")
 
     # ------------------------------------------------------------------ what is heard
-
-    def news(self, what: str) -> None:
-        """Something to be drawn with the next picture; all of it with a new problem."""
-        self.waiting |= {"problem", "imitation", "side 0", "side 1", "mass"} if what == "problem" else {what}
-
-    def attempt(self, call: Callable[[], object]) -> None:
-        """Do it, or say why not."""
-        try:
-            call()
-        except TorchdsError as error:
-            ui.notify(" ".join(str(error).split()), type="negative", multi_line=True, close_button="OK", timeout=12000)
 
     def heard(self, name: str) -> Callable[[dict[str, Any]], object]:
         """What is done about an event of the table."""
@@ -225,15 +210,6 @@ class View:
             self.line.set_text(panels.said(studio))
             for tell in self.tellers:
                 tell()
-
-    def fill(self) -> None:
-        """Show the problem in all controls."""
-        self.filling, p = True, self.studio.problem.to_json()
-        try:
-            for element, read in self.controls.items():
-                element.value = read(p)
-        finally:
-            self.filling = False
 
     def moved(self, kind: str, index: int, at: list[float]) -> dict[str, Any]:
         """The layers while something is dragged: the motions begin or end elsewhere."""

@@ -17,8 +17,8 @@ from torchds.errors import TorchdsError
 
 PRELOADED = [
     "__main__",
-    "train.studio.imitating",
-    "train.studio.learning",
+    "train.view.studio.imitating",
+    "train.view.studio.learning",
     "torchds.kernels.cpu",
 ]  # by the process that the others begin as
 

@@ -18,7 +18,7 @@ from train.folder import RunFolder
 from train.learning.learner import Learner
 from train.learning.run import check
 from train.statistics import median
-from train.studio.worker import Pipe, said
+from train.view.studio.worker import Pipe, said
 
 PICTURES = 30.0  # a second, at most
 POINTS = 60  # of a path in a picture, about
@@ -112,8 +112,14 @@ class Apprentice:
         return self.learner.done >= self.learner.n_updates
 
     def serve(self) -> None:
-        """Until the pipe ends."""
+        """Until the pipe ends; whatever was learned by then is kept."""
         self.show()
+        try:
+            self._listen()
+        finally:
+            self.save()
+
+    def _listen(self) -> None:
         due = time.monotonic()
         while True:
             if not self.pace or self.pipe.waits(max(due - time.monotonic(), 0.0)):

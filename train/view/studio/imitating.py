@@ -12,7 +12,7 @@ from torch import Tensor
 from tasks.sketch import Problem, Sketch
 from torchds import GMRPolicy
 from torchds.errors import DemonstrationWarning
-from train.studio.worker import Pipe, said
+from train.view.studio.worker import Pipe, said
 
 
 class Imitation(NamedTuple):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nicegui import events, ui
 
-if TYPE_CHECKING:
-    from train.studio.layout import View
+from train.view.studio.window import Window
 
 Place = tuple[str | int, ...]
 """Names and indices from the file inwards: `("weights", "goal")`, `("via_points", 2, 0)`."""
@@ -41,7 +40,7 @@ def replaced(values: Any, place: Place, value: Any) -> Any:
 
 
 def bind(
-    view: View,
+    window: Window,
     element: Any,
     place: Place,
     usual: Any = None,
@@ -52,7 +51,7 @@ def bind(
     """Let an element show what stands at a place, and put there what it is changed to.
 
     Args:
-        view: of the page.
+        window: of the page.
         element: of it, with a value.
         place: in the problem's file.
         usual: what is shown where nothing stands there.
@@ -61,33 +60,33 @@ def bind(
     """
 
     def changed(event: events.ValueChangeEventArguments[Any]) -> None:
-        if view.filling or event.value is None:
+        if window.filling or event.value is None:
             return
-        values = replaced(view.studio.problem.to_json(), place, out(event.value))
-        view.attempt(lambda: view.studio.adjust(**{str(place[0]): values[place[0]]}))
-        view.news("problem")  # what was refused is shown as it still is
+        values = replaced(window.studio.problem.to_json(), place, out(event.value))
+        window.attempt(lambda: window.studio.adjust(**{str(place[0]): values[place[0]]}))
+        window.news("problem")  # what was refused is shown as it still is
 
     element.on_value_change(changed)
-    view.controls[element] = lambda p: into(found(p, place, usual))
+    window.controls[element] = lambda p: into(found(p, place, usual))
     return element
 
 
-def slider(view: View, label: str, place: Place, low: float, high: float, step: float, usual: Any = None) -> None:
+def slider(window: Window, label: str, place: Place, low: float, high: float, step: float, usual: Any = None) -> None:
     """A slider with its name and its value."""
     with ui.element("div").classes("studio-row").style("flex-wrap: nowrap"):
         ui.label(label).style(LABEL)
         element = ui.slider(min=low, max=high, step=step).props(f'aria-label="{label}"')
         whole = int if isinstance(step, int) and isinstance(low, int) else float
-        bind(view, element, place, low if usual is None else usual, out=whole)
+        bind(window, element, place, low if usual is None else usual, out=whole)
         ui.label().bind_text_from(element, "value", lambda n: "" if n is None else f"{n:.4g}").style(VALUE)
 
 
-def weight(view: View, label: str, place: Place) -> None:
+def weight(window: Window, label: str, place: Place) -> None:
     """A logarithmic slider that begins with off."""
     with ui.element("div").classes("studio-row").style("flex-wrap: nowrap"):
         ui.label(label).style(LABEL)
         element = ui.slider(min=OFF, max=MOST, step=0.1).props(f'aria-label="weight of {label}"')
-        bind(view, element, place, into=position, out=weighed)
+        bind(window, element, place, into=position, out=weighed)
         ui.label().bind_text_from(element, "value", lambda n: f"{weighed(n):.3g}" if n and n > OFF else "off").style(
             VALUE
         )
@@ -103,20 +102,22 @@ def position(weight: float) -> float:
     return OFF if weight <= 10**OFF else math.log10(weight)
 
 
-def number(view: View, label: str, place: Place, usual: Any = None, *, whole: bool = False, **options: Any) -> Any:
+def number(window: Window, label: str, place: Place, usual: Any = None, *, whole: bool = False, **options: Any) -> Any:
     """A number that is typed, and asked for once nothing more is typed."""
     element = ui.number(label=label, **options).props("dense debounce=400").style("width: 6.4rem")
-    return bind(view, element, place, usual, out=int if whole else float)
+    return bind(window, element, place, usual, out=int if whole else float)
 
 
-def select(view: View, label: str, place: Place, options: Mapping[str, str], usual: Any = None) -> None:
+def select(window: Window, label: str, place: Place, options: Mapping[str, str], usual: Any = None) -> None:
     """One of several names."""
-    bind(view, ui.select(dict(options), label=label).props("dense options-dense").style("width: 100%"), place, usual)
+    bind(window, ui.select(dict(options), label=label).props("dense options-dense").style("width: 100%"), place, usual)
 
 
-def switch(view: View, label: str, place: Place, on: Any, off: Any) -> None:
+def switch(window: Window, label: str, place: Place, on: Any, off: Any) -> None:
     """Something that is there or not."""
-    bind(view, ui.switch(label), place, into=lambda value: value not in (None, off), out=lambda yes: on if yes else off)
+    bind(
+        window, ui.switch(label), place, into=lambda value: value not in (None, off), out=lambda yes: on if yes else off
+    )
 
 
 def note(text: str) -> None:

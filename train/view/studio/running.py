@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from train.studio import keeping
-from train.studio.asking import EXECUTIONS, file
-from train.studio.controls import LABEL, VALUE, Place, bind, note, number, select
-from train.studio.side import stem
-from train.studio.state import Studio
-
-if TYPE_CHECKING:
-    from train.studio.layout import View
+from train.view.studio import keeping
+from train.view.studio.asking import EXECUTIONS, file
+from train.view.studio.controls import LABEL, VALUE, Place, bind, note, number, select
+from train.view.studio.side import stem
+from train.view.studio.state import Studio
+from train.view.studio.window import Window
 
 OPTIMIZERS = {
     "surrogate": "surrogate (recommended)",
@@ -54,48 +51,48 @@ FILES: dict[str, tuple[str, Callable[[Studio], bytes]]] = {
 }
 
 
-def learning(view: View) -> None:
+def learning(window: Window) -> None:
     """The two learners, and when they learn."""
-    studio = view.studio
+    studio = window.studio
     with ui.element("div").classes("studio-row"):
-        ui.button("Go", icon="play_arrow", on_click=lambda: view.attempt(lambda: studio.go(float(pace.value or 1))))
+        ui.button("Go", icon="play_arrow", on_click=lambda: window.attempt(lambda: studio.go(float(pace.value or 1))))
         ui.button("Pause", icon="pause", on_click=studio.pause)
-        ui.button("Step", icon="skip_next", on_click=lambda: view.attempt(studio.step))
-        ui.button("Reset", icon="replay", on_click=lambda: view.attempt(studio.reset))
+        ui.button("Step", icon="skip_next", on_click=lambda: window.attempt(studio.step))
+        ui.button("Reset", icon="replay", on_click=lambda: window.attempt(studio.reset))
     with ui.element("div").classes("studio-row").style("flex-wrap: nowrap"):
         ui.label("updates a second").style(LABEL)
         pace = ui.slider(min=1, max=FASTEST, step=1, value=25).props('aria-label="updates a second"')
         ui.label().bind_text_from(pace, "value", lambda n: f"{n:.0f}").style(VALUE)
-    learner(view, 0)
+    learner(window, 0)
     second = ui.switch("compare with a second learner")
     bind(
-        view,
+        window,
         second,
         ("learners",),
         into=lambda learners: len(learners) > 1,
         out=lambda yes: [studio.problem.learners[0], *([SECOND] if yes else [])],
     )
     with ui.column().style("gap: 6px; width: 100%") as column:
-        learner(view, 1)
-    view.tellers.append(lambda: column.set_visibility(len(studio.problem.learners) > 1))
+        learner(window, 1)
+    window.tellers.append(lambda: column.set_visibility(len(studio.problem.learners) > 1))
 
 
-def learner(view: View, index: int) -> None:
+def learner(window: Window, index: int) -> None:
     """The options of a learner."""
     place: Place = ("learners", index)
     ui.label(f"Learner {'AB'[index]}").style("font-weight: 600")
-    select(view, "optimizer", (*place, "optimizer"), OPTIMIZERS, "pibb")
-    select(view, "exploration", (*place, "exploration"), EXPLORATIONS, "homogeneous")
+    select(window, "optimizer", (*place, "optimizer"), OPTIMIZERS, "pibb")
+    select(window, "exploration", (*place, "exploration"), EXPLORATIONS, "homogeneous")
     with ui.element("div").classes("studio-row"):
         for name, (label, usual) in NUMBERS.items():
-            number(view, label, (*place, name), usual, whole=True, min=0, precision=0)
-        number(view, "noise", (*place, "noise"), placeholder="usual")
-        number(view, "noise in costs", (*place, "cost_noise"), 0.0, min=0)
+            number(window, label, (*place, name), usual, whole=True, min=0, precision=0)
+        number(window, "noise", (*place, "noise"), placeholder="usual")
+        number(window, "noise in costs", (*place, "cost_noise"), 0.0, min=0)
 
 
-def pushing(view: View) -> None:
+def pushing(window: Window) -> None:
     """The mass that can be pulled at."""
-    studio = view.studio
+    studio = window.studio
     note("A mass of 1 kg follows the motion. Grab it with the last tool above the table and pull.")
     execution = ui.radio(EXECUTIONS, value="open").props("inline dense")
     with ui.element("div").classes("studio-row").style("flex-wrap: nowrap"):
@@ -105,7 +102,7 @@ def pushing(view: View) -> None:
     note("Where the policy has a stiffness of its own, that is taken.")
 
     def begin() -> None:
-        view.attempt(lambda: studio.push(execution.value, float(stiffness.value or 0)))
+        window.attempt(lambda: studio.push(execution.value, float(stiffness.value or 0)))
 
     execution.on_value_change(begin)
     stiffness.on("change", begin)
@@ -114,7 +111,7 @@ def pushing(view: View) -> None:
         ui.button("Take it away", on_click=studio.let_go)
     with ui.element("div").classes("studio-row"):
         for name, direction in {"←": (-1, 0), "→": (1, 0), "↑": (0, 1), "↓": (0, -1)}.items():
-            nudge(view, name, direction)
+            nudge(window, name, direction)
     applied = ui.label().props("role=status")
 
     def tell() -> None:
@@ -122,28 +119,28 @@ def pushing(view: View) -> None:
         said = "" if mass is None else f"applied stiffness: {', '.join(f'{s:.0f}' for s in mass.applied)} N/m"
         applied.set_text(said)
 
-    view.tellers.append(tell)
+    window.tellers.append(tell)
 
 
-def nudge(view: View, name: str, direction: tuple[int, int]) -> None:
+def nudge(window: Window, name: str, direction: tuple[int, int]) -> None:
     """A button that pulls for a moment."""
-    ui.button(name, on_click=lambda: view.studio.nudge(direction)).props(f'aria-label="pull {name}"')
+    ui.button(name, on_click=lambda: window.studio.nudge(direction)).props(f'aria-label="pull {name}"')
 
 
-def taking(view: View) -> None:
+def taking(window: Window) -> None:
     """Files to take along, and a problem to bring."""
     for label, (ending, make) in FILES.items():
-        download(view, f"{label} ({ending})", ending, make)
-    bind(view, ui.input("name").props("dense debounce=400").style("width: 100%"), ("name",))
-    file(view, "a problem (.json)", ".json")
+        download(window, f"{label} ({ending})", ending, make)
+    bind(window, ui.input("name").props("dense debounce=400").style("width: 100%"), ("name",))
+    file(window, "a problem (.json)", ".json")
     note("`python -m train FILE.json` learns a problem in the terminal, with TensorBoard.")
 
 
-def download(view: View, label: str, ending: str, make: Callable[[Studio], bytes]) -> None:
+def download(window: Window, label: str, ending: str, make: Callable[[Studio], bytes]) -> None:
     """A button that brings a file."""
-    studio = view.studio
+    studio = window.studio
 
     def bring() -> None:
-        view.attempt(lambda: ui.download.content(make(studio), f"{stem(studio.problem)}{ending}"))
+        window.attempt(lambda: ui.download.content(make(studio), f"{stem(studio.problem)}{ending}"))
 
     ui.button(label, icon="download", on_click=bring).props("align=left").style("width: 100%")

@@ -35,8 +35,8 @@ class Studio:
         """
         if importlib.util.find_spec("nicegui") is None:
             raise MissingPackageError("nicegui", "studio", "the studio")
-        from train.studio import layout
-        from train.studio.state import Studio as State
+        from train.view.studio import layout
+        from train.view.studio.state import Studio as State
 
         port = free(self.port)
         make_folder(self.folder)

@@ -8,8 +8,8 @@ import numpy as np
 from torch import Tensor
 
 from torchds import plotting
-from train.studio.state import Studio
-from train.studio.table import widened
+from train.view.studio.state import Studio
+from train.view.studio.table import widened
 
 COLUMNS = 28  # of arrows
 LONGEST = 0.8  # arrow, in distances between two of them

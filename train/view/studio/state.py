@@ -16,13 +16,13 @@ from tasks.sketch import Problem, Sketch, examples
 from torchds import GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.folder import make_folder
-from train.studio import changes, kept
-from train.studio.imitating import Imitation, imitate
-from train.studio.learning import Picture
-from train.studio.pushing import Execution, Pushed
-from train.studio.side import Side
-from train.studio.table import TABLE, points, seen
-from train.studio.worker import Failed, Worker
+from train.view.studio import changes, kept
+from train.view.studio.imitating import Imitation, imitate
+from train.view.studio.learning import Picture
+from train.view.studio.pushing import Execution, Pushed
+from train.view.studio.side import Side
+from train.view.studio.table import TABLE, points, seen
+from train.view.studio.worker import Failed, Worker
 
 FIRST = "an_s"  # of the examples
 SERIES = 1.0  # s between two changes of one slider

@@ -9,8 +9,8 @@ from pathlib import Path
 from tasks.sketch import Problem
 from train.folder import RunFolder
 from train.options import options_class
-from train.studio.learning import Picture, learn
-from train.studio.worker import Failed, Worker
+from train.view.studio.learning import Picture, learn
+from train.view.studio.worker import Failed, Worker
 
 PROBLEM = "problem.json"
 

@@ -1,0 +1,37 @@
+"""What is seen of the plane."""
+
+import pytest
+import torch
+
+from tests import drawn
+from train.view.studio.table import TABLE, points, seen, widened
+
+
+def test_all_places_of_a_problem_count():
+    p = drawn.problem(strokes=[], walls=[[[0, 0], [3, 1]]], regions=[{"center": [0, 5], "radius": 1}], goal=[-4, 0])
+    places = points(p)
+    assert places.amin(0).tolist() == [-4, 0] and places.amax(0).tolist() == [3, 6]
+    assert points(drawn.problem(strokes=[], via_points=[])).shape == (0, 2)
+
+
+def test_what_is_drawn_on_the_table_does_not_move_it():
+    for n in range(0, 100, 7):
+        assert seen(torch.tensor(drawn.stroke()[:n], dtype=torch.float64).reshape(-1, 3)[:, 1:], TABLE) == TABLE
+    assert seen(torch.tensor([[0.3, 0.3]]).double(), TABLE) == TABLE
+
+
+@pytest.mark.parametrize("scale", [50.0, 0.001])
+def test_other_lengths_get_a_table_that_holds_all_of_them_and_stays(scale):
+    places = scale * torch.tensor(drawn.stroke(), dtype=torch.float64)[:, 1:]
+    window = seen(places, TABLE)
+    left, right, low, high = window
+    assert (places > torch.tensor([left, low])).all() and (places < torch.tensor([right, high])).all()
+    assert right - left < 2 * 1.6 * scale and seen(places, window) == window
+    assert seen(torch.zeros(0, 2), window) == TABLE
+
+
+def test_a_wide_table_shows_more_beside_and_a_high_one_above():
+    for shape in (0.5, 1.6, 4.0):
+        left, right, low, high = widened(TABLE, shape)
+        assert (right - left) / (high - low) == pytest.approx(shape)
+        assert left <= TABLE[0] and right >= TABLE[1] and low <= TABLE[2] and high >= TABLE[3]
