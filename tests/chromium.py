@@ -10,7 +10,8 @@ import urllib.error
 import urllib.request
 
 MISSING = shutil.which("chromedriver") is None or not any(map(shutil.which, ("chromium", "google-chrome")))
-SOFTWARE = (
+PLAIN = ("--headless=new", "--no-sandbox", "--disable-gpu")
+SOFTWARE = (  # WebGL on the CPU, which makes everything else slow
     "--headless=new",
     "--no-sandbox",
     "--use-gl=angle",
@@ -35,11 +36,11 @@ class Browser:
 
     Args:
         size: of the window [pixels].
-        arguments: more of Chromium's.
+        arguments: of Chromium.
         downloads: the folder that takes what is downloaded.
     """
 
-    def __init__(self, size=(640, 400), arguments=(), downloads=None):
+    def __init__(self, size=(640, 400), arguments=PLAIN, downloads=None):
         self.size, self.arguments, self.downloads = size, arguments, downloads
 
     def __enter__(self):
@@ -58,11 +59,11 @@ class Browser:
                     break
                 except OSError:
                     time.sleep(0.05)
-            chrome = {"args": [*SOFTWARE, *self.arguments, f"--window-size={self.size[0]},{self.size[1]}"]}
+            chrome = {"args": [*self.arguments, f"--window-size={self.size[0]},{self.size[1]}"]}
             if self.downloads is not None:
                 chrome["prefs"] = {
                     "download.default_directory": str(self.downloads),
-                    "download.prompt_for_download": False,
+                    "profile.default_content_setting_values.automatic_downloads": 1,  # several, without asking
                 }
             wanted = {"capabilities": {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": chrome}}}
             self.session = f"{base}/session/{call(f'{base}/session', wanted)['sessionId']}"
@@ -116,7 +117,7 @@ class Browser:
 
 def screenshot(url, path, ready, size=(640, 400)):
     """Open a page, wait until the JavaScript expression `ready` is true, and write a picture of it."""
-    with Browser(size) as browser:
+    with Browser(size, SOFTWARE) as browser:
         browser.open(url)
         browser.until(ready)
         browser.picture(path)

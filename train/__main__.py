@@ -38,8 +38,8 @@ from train.options import RunOptions, options_class
 from train.paper.claims.command import Claims
 from train.paper.experiment import Digging
 from train.paper.figures.command import Figures
-from train.view.studio.command import Studio
 from train.view.command import View
+from train.view.studio.command import Studio
 
 
 def given(arguments: Sequence[str]) -> set[str]:

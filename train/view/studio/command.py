@@ -57,6 +57,9 @@ def free(port: int) -> int:
         InvalidArgumentError: it is not free.
     """
     with socket.socket() as found:
+        found.setsockopt(
+            socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+        )  # a page that was just ended still holds its port a little
         try:
             found.bind((HOST, port))
         except (OverflowError, OSError):

@@ -60,7 +60,15 @@ def serve(studio: Studio, host: str, port: int, *, show: bool = True) -> None:
 
     print(f"studio: http://{host}:{port} until Ctrl-C; its state is kept in {studio.folder}", flush=True)
     app.timer(1 / 50, tick)
-    ui.run(host=host, port=port, show=show, reload=False, tailwind=False, show_welcome_message=False)
+    ui.run(
+        host=host,
+        port=port,
+        show=show,
+        reload=False,
+        tailwind=False,
+        show_welcome_message=False,
+        ws_per_message_deflate=False,  # this machine talks to itself
+    )
 
 
 class View(Window):
@@ -69,6 +77,7 @@ class View(Window):
     def __init__(self, studio: Studio) -> None:
         super().__init__(studio)
         self.shape = 1.6  # of a table, width by height
+        ui.colors(primary="#1f5fa8", negative="#a32015")
         ui.add_css(STYLE)
         with ui.element("main").classes("studio"):
             with ui.element("section").classes("studio-left").props('aria-label="table"'):
@@ -204,8 +213,7 @@ class View(Window):
         self.old = self.old or bool(waiting & {"side 0", "side 1"})
         if self.old and time.monotonic() - self.charted > CURVES:
             self.charted, self.old = time.monotonic(), False
-            self.curves.options["series"] = showing.series(studio)
-            self.curves.update()
+            self.curves.run_chart_method("setOption", {"series": showing.series(studio)}, {"replaceMerge": ["series"]})
         if waiting:
             self.line.set_text(panels.said(studio))
             for tell in self.tellers:

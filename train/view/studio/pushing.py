@@ -33,6 +33,7 @@ class Pushed:
         execution: the policy sees its own reference (open), the mass under impedance control (closed), or the mass under the
             passive controller.
         stiffness: where the policy has none [N/m].
+        seconds: after which the reference of the open loop rests.
 
     Attributes:
         hand: `(2,)` where the hand is that pulls; None where there is none.
@@ -40,9 +41,15 @@ class Pushed:
     """
 
     def __init__(
-        self, policy: GMRPolicy, start: Tensor, execution: Execution = "open", stiffness: float = 200.0
+        self,
+        policy: GMRPolicy,
+        start: Tensor,
+        execution: Execution = "open",
+        stiffness: float = 200.0,
+        seconds: float = math.inf,
     ) -> None:
         self.policy, self.feedback = policy, execution != "open"
+        self.seconds = math.inf if self.feedback else seconds
         mass = PointMass(MASS, 0.0, self.pull)
         constant = None if policy.stiffness_dim else stiffness
         self.plant: Plant = ImpedanceControlled(mass, constant)
@@ -67,6 +74,8 @@ class Pushed:
                 self.hold(None)
             x = seen(self.now, self.plant, self.t, DT) if self.feedback else self.now.x
             v, s = self.policy(x), self.policy.stiffness(x) if self.policy.stiffness_dim else None
+            if self.t >= self.seconds:
+                v = torch.zeros_like(v)
             self.now = advance(self.now, v, s, self.t, DT, plant=self.plant, feedback=self.feedback)
             self.t += DT
             self.trail = [*self.trail[1 - TRAIL :], self.at]

@@ -21,7 +21,7 @@ from train.view.studio.imitating import Imitation, imitate
 from train.view.studio.learning import Picture
 from train.view.studio.pushing import Execution, Pushed
 from train.view.studio.side import Side
-from train.view.studio.table import TABLE, points, seen
+from train.view.studio.table import TABLE, near, points, seen
 from train.view.studio.worker import Failed, Worker
 
 FIRST = "an_s"  # of the examples
@@ -219,7 +219,8 @@ class Studio:
         policy, task = self.policy(index), self.task
         if policy is None or task is None:
             raise InvalidArgumentError("there is no motion yet; draw one first")
-        self.pushed = Pushed(policy, task.motion().x0, execution, stiffness)
+        x0, n_steps, dt = task.motion()
+        self.pushed = Pushed(policy, x0, execution, stiffness, n_steps * dt)
         self.tell("mass")
 
     # ------------------------------------------------------------------ learning
@@ -280,7 +281,7 @@ class Studio:
                 self.tell(f"side {i}")
         if self.pushed is not None:
             self.pushed.go_on(min(seconds, 0.1))
-            if self.pushed.lost:
+            if self.pushed.lost or not near(self.pushed.at, self.table):
                 self.pushed = None
             self.tell("mass")
 

@@ -38,6 +38,13 @@ def seen(places: Tensor, before: Window) -> Window:
     return left, right, low, high
 
 
+def near(place: Tensor, window: Window) -> bool:
+    """Whether a place `(2,)` is less than a window's width beside it."""
+    left, right, low, high = window
+    x, y = place.tolist()
+    return left - (right - left) <= x <= right + (right - left) and low - (right - left) <= y <= high + (right - left)
+
+
 def widened(window: Window, shape: float) -> Window:
     """The same with as much beside it as a table of this shape shows, width by height."""
     left, right, low, high = window

@@ -72,7 +72,8 @@ class Worker:
         self._beginning.start()  # the first process takes seconds to import everything
 
     def _begin(self, there: Connection) -> None:
-        self.process.start()
+        with contextlib.suppress(EOFError, OSError):  # the page is ended before it began
+            self.process.start()
         there.close()
 
     def tell(self, message: Any) -> None:

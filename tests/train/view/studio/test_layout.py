@@ -66,7 +66,7 @@ class Page(chromium.Browser):
     def press_button(self, label):
         found = self.run(
             """(() => { const e = [...document.querySelectorAll('button, [role=tab]')].find(e => e.offsetParent &&
-            (e.getAttribute('aria-label') || e.innerText.split('\\n').pop()).trim().toLowerCase() === arguments[0].toLowerCase());
+            (e.ariaLabel || e.innerText.split('\\n').pop()).trim().toLowerCase() === arguments[0].toLowerCase());
             if (e) e.click(); return !!e })()""".replace("arguments[0]", json.dumps(label))
         )
         assert found, label
@@ -88,18 +88,21 @@ class Page(chromium.Browser):
         self.until(f"document.body.innerText.includes({json.dumps(words)})")
 
     def type(self, label, value):
-        element = self.run(f"document.querySelector('input[aria-label={json.dumps(label)}]')")
-        (key,) = element
-        chromium.call(f"{self.session}/element/{element[key]}/clear")
-        chromium.call(f"{self.session}/element/{element[key]}/value", {"text": str(value)})
+        """A number into the field of this label, once it is there."""
+        field = f"[...document.querySelectorAll('input[aria-label={json.dumps(label)}]')].find(e => e.offsetParent)"
+        self.until(f"!!{field}")
+        self.run(f"{field}.select()")
+        self.press(*str(value))
 
-    def give(self, path):
-        """A file into the first place for files that is seen."""
-        element = self.run(
-            "[...document.querySelectorAll('input[type=file]')].find(e => e.closest('.q-uploader').offsetParent)"
-        )
-        (key,) = element
-        chromium.call(f"{self.session}/element/{element[key]}/value", {"text": str(path)})
+    def give(self, label, path):
+        """A file into the place for files of this label."""
+        self.until(f"""[...document.querySelectorAll('.q-uploader')]
+            .some(e => e.offsetParent && e.innerText.includes({json.dumps(label)}))""")
+        (element,) = self.run(
+            f"""[...document.querySelectorAll('.q-uploader')].find(e => e.innerText.includes({json.dumps(label)}))
+            .querySelector('input[type=file]')"""
+        ).values()
+        chromium.call(f"{self.session}/element/{element}/value", {"text": str(path)})
 
     def keep(self, name):
         if PICTURES:
@@ -127,12 +130,14 @@ class Server:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            env={name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")},
         )
         assert "studio: http://127.0.0.1" in self.process.stdout.readline()
         for _ in range(600):
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", self.port)) == 0:
                     return
+            assert self.process.poll() is None, self.process.stdout.read()
             time.sleep(0.1)
 
     def children(self):
@@ -254,7 +259,7 @@ def test_a_motion_is_drawn_imitated_learned_pushed_taken_along_and_found_again(s
         page.until(f"getElement({page.table()}).layers.strokes.length === 0")
         page.press_button("Keep")
         time.sleep(0.5)
-        page.give(problem)
+        page.give("a problem", problem)
         page.until(f"getElement({page.table()}).layers.strokes.length === 3")
         page.keep("kept")
     learned = Learner(options_class(str(problem))()).learn()
@@ -275,10 +280,10 @@ def test_a_second_window_shows_the_same_and_what_is_refused_is_a_sentence(server
         page.says("too short for a motion")
         page.press_button("Draw")
         (tmp_path / "bad.csv").write_text("t,x,y\n0,0,0\n0.1,nan,1\n0.2,1,1\n0.3,2,1\n")
-        page.give(tmp_path / "bad.csv")
+        page.give("own recordings", tmp_path / "bad.csv")
         page.says("nan")
         (tmp_path / "space.csv").write_text("t,x,y,z\n" + "".join(f"{0.1 * i},{i},{i},{i * i}\n" for i in range(30)))
-        page.give(tmp_path / "space.csv")
+        page.give("own recordings", tmp_path / "space.csv")
         page.says("got 3")
         assert "Traceback" not in page.run("document.body.innerText")
 
@@ -290,9 +295,10 @@ def test_twenty_pictures_a_second_while_it_learns(server, tmp_path):
     with Page(server.url) as page:
         page.press_button("Keep")
         time.sleep(0.5)
-        page.give(tmp_path / "long.json")
+        page.give("a problem", tmp_path / "long.json")
         page.until(f"getElement({page.table()}).layers.strokes.length === {len(problem.strokes)}")
         page.press_button("Learn")
+        page.until("document.querySelector('input[aria-label=updates]').value === '100000'")
         page.press_button("Go")
         page.until(f"getElement({page.table()}).layers.trials?.length === 40")
         rates = []
@@ -331,9 +337,11 @@ def test_it_can_be_used_with_the_keyboard_and_read_by_everybody(server, size):
 
 
 SEEN = "e.offsetParent && getComputedStyle(e).visibility !== 'hidden'"
-NAMELESS = f"""[...document.querySelectorAll('button, input:not([type=hidden]):not([type=file]), [role=slider], [role=tab],
-    [role=switch], [role=radio], canvas')].filter(e => {SEEN}).filter(e => !(e.ariaLabel || e.innerText || e.title ||
-    (e.labels && e.labels.length) || e.closest('label')?.innerText || e.closest('[aria-label]')?.ariaLabel))
+ACTIVE = (
+    "button, input:not([type=hidden]):not([type=file]), [role=slider], [role=tab], [role=switch], [role=radio], canvas"
+)
+NAMELESS = f"""[...document.querySelectorAll('{ACTIVE}')].filter(e => {SEEN}).filter(e => !(e.ariaLabel || e.innerText ||
+    e.title || (e.labels && e.labels.length) || e.closest('label')?.innerText || e.closest('[aria-label]')?.ariaLabel))
     .map(e => e.outerHTML.slice(0, 120))"""
 FAINT = f"""(() => {{
     const light = c => {{ const [r, g, b] = c.match(/[\\d.]+/g).map(Number).map(v => v / 255)

@@ -54,6 +54,17 @@ def test_a_hand_and_a_spring_end_where_their_forces_are_equal():
     torch.testing.assert_close(pushed.at, task.motion().x0, rtol=0, atol=1e-6)
 
 
+def test_in_open_loop_the_reference_rests_when_the_motion_is_over(motion):
+    policy, x0 = motion
+    pushed = Pushed(policy, x0, "open", 300.0, 0.5)
+    pushed.go_on(0.5)
+    end = pushed.reference
+    for _ in range(30):
+        pushed.go_on(0.1)
+    assert pushed.reference.equal(end)
+    torch.testing.assert_close(pushed.at, end, rtol=0, atol=1e-6)
+
+
 def test_a_policy_with_a_stiffness_applies_its_own():
     task = Sketch.of(drawn.problem(body={"stiffness": 77.0}))()
     pushed = Pushed(task.policy(), task.motion().x0, "closed", 5.0)

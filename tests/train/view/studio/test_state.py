@@ -1,6 +1,7 @@
 """The state of the page: changes, undo, what is kept, and what the pointer and time do; workers that answer at once."""
 
 import time
+from typing import ClassVar
 
 import pytest
 import torch
@@ -18,7 +19,7 @@ from train.view.studio.worker import Failed, said
 class Instant:
     """A worker that answers when it is asked; those of learners only write down what they are told."""
 
-    made = []
+    made: ClassVar = []
 
     def __init__(self, work, *arguments):
         self.work, self.arguments, self.told, self.out, self.dead = work, arguments, [], [], False

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests import drawn
-from train.view.studio.table import TABLE, points, seen, widened
+from train.view.studio.table import TABLE, near, points, seen, widened
 
 
 def test_all_places_of_a_problem_count():
@@ -35,3 +35,8 @@ def test_a_wide_table_shows_more_beside_and_a_high_one_above():
         left, right, low, high = widened(TABLE, shape)
         assert (right - left) / (high - low) == pytest.approx(shape)
         assert left <= TABLE[0] and right >= TABLE[1] and low <= TABLE[2] and high >= TABLE[3]
+
+
+def test_what_is_a_width_away_is_near_and_what_is_farther_is_not():
+    for place, expected in {(2.9, 0.0): True, (3.1, 0.0): False, (0.0, -2.6): True, (0.0, -2.7): False}.items():
+        assert near(torch.tensor(place), TABLE) is expected
