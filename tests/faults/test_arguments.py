@@ -20,7 +20,7 @@ from torchds.cartesian import CartesianImpedance
 from torchds.errors import MissingPackageError, TorchdsError
 from torchds.exploration import Gaussian, Homogeneous, Stable, TrajectorySpace
 from torchds.exploration.trajectory import Coordinates
-from torchds.forces import ConstantForce, DivergentForce
+from torchds.forces import ConstantForce, DivergentForce, SpringForce
 from torchds.impedance import ImpedanceControlled
 from torchds.mixture import joint_samples
 from torchds.optim import functional
@@ -217,6 +217,7 @@ CASES = {
     "recruiting.recruit": (lambda at: torchds.recruit(POLICY, at, 0.5), {"at": X0}),
     "plants.PointMass": (lambda force: pushed(lambda t, x, v: force), {"force": GOAL}),
     "forces.ConstantForce": (lambda force: pushed(ConstantForce(force)), {"force": GOAL}),
+    "forces.SpringForce": (lambda anchor: pushed(SpringForce(anchor, 5.0)), {"anchor": GOAL}),
     "forces.DivergentForce": (lambda path: pushed(DivergentForce(path, 2.0)), {"path": randn(4, 2)}),
     "impedance.ImpedanceControlled": (
         lambda stiffness: torchds.rollout(POLICY, X0, T, DT, plant=ImpedanceControlled(PointMass(), stiffness)),
@@ -349,7 +350,8 @@ INSIDE = {
     "exploration.trajectory.TrajectorySpace.measure", "fits.Noise.like", "optim.functional.failures",
     "optim.functional.quantile", "optim.sharded.Sharded.together",
     "forces.ConstantForce.__call__",
-    "forces.DivergentForce.__call__", "impedance.ImpedanceControlled.reset", "mending.resample", "parameters.ExpertParameters",
+    "forces.DivergentForce.__call__", "forces.SpringForce.__call__",
+    "impedance.ImpedanceControlled.reset", "mending.resample", "parameters.ExpertParameters",
     "parameters.ExpertParameters.from_rows", "parameters.ExpertParameters.join", "parameters.arrange",
     "parameters.cat_broadcast", "passive.PassiveControlled.reset",
     "plants.PointMass.advance", "plants.PointMass.reset", "policy.GMRPolicy.feature_gating",

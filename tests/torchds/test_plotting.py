@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from tests.colours import closest
 from tests.motions import two
-from torchds import Demonstrations, plotting
+from torchds import Demonstrations, GMRPolicy, plotting
 from torchds.errors import FileError, InvalidArgumentError, MissingPackageError
 
 
@@ -271,3 +271,19 @@ def test_a_picture_is_whole_or_the_old_one_stays(axes, tmp_path, monkeypatch):
     assert path.read_text() == "old" and [file.name for file in tmp_path.iterdir()] == ["a.png"]
     plotting.save(path, axes.figure, dpi=10)
     assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_outlines_are_one_standard_deviation_from_the_means():
+    policy = GMRPolicy.from_demonstrations(two(), 3)
+    points = torch.from_numpy(plotting.outlines(policy, 36))
+    offset = points - policy.means[:, None, :2]
+    covariance = policy.covariances[:, :2, :2]
+    squared = (offset * torch.linalg.solve(covariance[:, None], offset.unsqueeze(-1)).squeeze(-1)).sum(-1)
+    torch.testing.assert_close(squared, torch.ones_like(squared))
+
+
+def test_velocities_on_a_grid_are_those_of_the_policy():
+    policy = GMRPolicy.from_demonstrations(two(), 3)
+    grid, v = plotting.velocities(policy, (-1.0, 2.0), (0.0, 1.0), 4, 3)
+    assert grid.shape == v.shape == (3, 4, 2) and grid[2, 3].tolist() == [2.0, 1.0]
+    torch.testing.assert_close(torch.from_numpy(v[1, 2]), policy(torch.from_numpy(grid[1, 2])).detach())

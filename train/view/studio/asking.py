@@ -6,13 +6,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from nicegui import events, ui
-
 from tasks.sketch import Problem
 from torchds import Demonstrations, load, load_lasa
+from torchds.files import write_atomically
 from torchds.recordings.lasa import lasa_names
 from train.view.studio import changes
 from train.view.studio.controls import Place, bind, note, number, select, slider, switch, weight
+from train.view.studio.nice import events, ui
 from train.view.studio.window import Window
 
 CONDITIONS = {"none": "none", "seds": "SEDS (P = 1)", "p-qlf": "P-QLF (P is learned)"}
@@ -73,7 +73,8 @@ def file(window: Window, label: str, endings: str) -> None:
     async def taken(event: events.UploadEventArguments) -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / Path(event.file.name).name
-            path.write_bytes(await event.file.read())
+            content = await event.file.read()
+            write_atomically(path, lambda stream: stream.write(content))
             if path.suffix == ".json":
                 window.attempt(lambda: window.studio.put(Problem.read(path)))
             else:

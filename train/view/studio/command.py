@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-from torchds.errors import InvalidArgumentError, MissingPackageError
+from torchds.errors import InvalidArgumentError
 from torchds.locks import one_writer
 from train.folder import make_folder
 
@@ -33,8 +32,6 @@ class Studio:
             InvalidArgumentError: a port that is not free.
             FileError: another studio works in this folder, or it cannot be written to.
         """
-        if importlib.util.find_spec("nicegui") is None:
-            raise MissingPackageError("nicegui", "studio", "the studio")
         from train.view.studio import layout
         from train.view.studio.state import Studio as State
 

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from nicegui import events, ui
-
+from train.view.studio.nice import events, ui
 from train.view.studio.window import Window
 
 Place = tuple[str | int, ...]

@@ -168,6 +168,7 @@ export default {
       if (l.start && l.start.length) { c.fillStyle = COLOURS.mark; c.fillRect(X(l.start) - 6, Y(l.start) - 6, 12, 12); }
       if (l.goal && l.goal.length) this.star(c, X(l.goal), Y(l.goal));
       if (l.mass) this.pulled(c, l.mass, X, Y, line, disc);
+      this.legend(c, width);
       const pointer = this.pointer;
       if (pointer && this.tool === "draw") line(pointer.points.map((p) => p.slice(1)), COLOURS.sketch, 3);
       if (pointer && (this.tool === "wall" || this.tool === "region")) {
@@ -176,6 +177,20 @@ export default {
         else disc(pointer.from, scale * Math.hypot(to[0] - pointer.from[0], to[1] - pointer.from[1]), COLOURS.region, COLOURS.rim);
       }
       canvas.dataset.drawn = ++this.drawn;
+    },
+    legend(c, width) {
+      const names = { strokes: ["demonstrations", COLOURS.demonstration, [6, 4]], gaussians: ["Gaussians", COLOURS.gaussian, []],
+        imitated: ["imitated", COLOURS.imitated, []], trials: ["trials", COLOURS.trial, []], motion: ["learned", COLOURS.motion, []] };
+      const seen = Object.entries(names).filter(([layer]) => (this.layers[layer] || []).length);
+      c.font = "12px sans-serif";
+      c.fillStyle = "rgba(255, 255, 255, 0.8)";
+      if (seen.length) c.fillRect(width - 134, 4, 130, 6 + 17 * seen.length);
+      seen.forEach(([, [name, colour, dash]], i) => {
+        const y = 16 + 17 * i;
+        c.strokeStyle = colour; c.lineWidth = 2.2; c.setLineDash(dash);
+        c.beginPath(); c.moveTo(width - 128, y); c.lineTo(width - 102, y); c.stroke(); c.setLineDash([]);
+        c.fillStyle = "#1b2733"; c.fillText(name, width - 96, y + 4);
+      });
     },
     ruled(c, width, height, X, Y, line) {
       const [left, right, low, high] = this.layers.view;
@@ -191,7 +206,7 @@ export default {
         line([[left, y], [right, y]], COLOURS.grid, 1);
         c.fillText(y.toFixed(digits), 4, Y([0, y]) - 3);
       }
-      c.fillText(this.layers.unit ? `[${this.layers.unit}]` : "", width - 32, height - 5);
+      c.fillText(this.layers.unit ? `[${this.layers.unit}]` : "", 4, 14);
     },
     arrow(c, x, y, tox, toy) {
       const angle = Math.atan2(toy - y, tox - x), length = Math.hypot(tox - x, toy - y);

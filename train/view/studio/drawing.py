@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from nicegui.element import Element
-from nicegui.events import GenericEventArguments
+from train.view.studio.nice import Element, events
 
 Said = dict[str, Any]
 EVENTS = ("ready", "stroke", "place", "drag", "erase", "pull")
@@ -42,5 +41,5 @@ class Drawing(Element, component="drawing.js"):
         self.run_method("show", layers)
 
 
-def _with(call: Callable[[Said], object]) -> Callable[[GenericEventArguments], object]:
+def _with(call: Callable[[Said], object]) -> Callable[[events.GenericEventArguments], object]:
     return lambda event: call(event.args)

@@ -31,10 +31,10 @@ def demonstrations(studio: Studio) -> bytes:
 def policy(studio: Studio) -> bytes:
     """A file that `torchds.load_policy` reads: the policies of all runs of the first learner, or else the imitated one."""
     picture, task = studio.fresh(0), studio.task
-    found = studio.policy() if picture is None else picture.policies
-    if found is None or task is None:
+    learned = studio.policy() if picture is None else picture.policies
+    if learned is None or task is None:
         raise InvalidArgumentError("there is no policy yet; draw a motion first")
-    return written(".pt", lambda path: found.save(path, **task.about(found)))
+    return written(".pt", lambda path: learned.save(path, **task.about(learned)))
 
 
 def program(studio: Studio) -> bytes:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from nicegui import app, ui
 
 from tasks.sketch import Problem, examples
 from train.view.studio import changes, panels, showing
 from train.view.studio.drawing import EVENTS, Drawing
+from train.view.studio.nice import app, ui
 from train.view.studio.state import Studio
 from train.view.studio.window import Window
 
@@ -148,6 +148,10 @@ class View(Window):
                 button = ui.button(icon=icon, on_click=lambda name=name: self.use(name)).tooltip(label)
                 self.tools[name] = button.props(f'dense aria-label="{label}"')
         self.tool = "draw"
+        self.tools["draw"].props("aria-pressed=true")
+        for name in TOOLS:
+            if name != "draw":
+                self.tools[name].props("flat aria-pressed=false")
 
     def example(self, name: str | None) -> None:
         """Begin with one of the examples."""

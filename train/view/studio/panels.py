@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from nicegui import ui
-
 from train.view.studio import asking, running
+from train.view.studio.nice import ui
 from train.view.studio.state import Studio
 from train.view.studio.window import Window
 

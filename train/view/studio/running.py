@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nicegui import ui
-
 from train.view.studio import keeping
 from train.view.studio.asking import EXECUTIONS, file
 from train.view.studio.controls import LABEL, VALUE, Place, bind, note, number, select
+from train.view.studio.nice import ui
 from train.view.studio.side import stem
 from train.view.studio.state import Studio
 from train.view.studio.window import Window
@@ -133,7 +132,7 @@ def taking(window: Window) -> None:
         download(window, f"{label} ({ending})", ending, make)
     bind(window, ui.input("name").props("dense debounce=400").style("width: 100%"), ("name",))
     file(window, "a problem (.json)", ".json")
-    note("`python -m train FILE.json` learns a problem in the terminal, with TensorBoard.")
+    note("In a terminal, python -m train FILE.json learns a problem, with TensorBoard.")
 
 
 def download(window: Window, label: str, ending: str, make: Callable[[Studio], bytes]) -> None:

@@ -72,9 +72,9 @@ class Side:
         options = options_class(str(folder.path / PROBLEM))()
         folder.begin(options.task, options.to_json())
         self.end()
-        self.open(folder.path)
+        self.resume(folder.path)
 
-    def open(self, folder: Path) -> None:
+    def resume(self, folder: Path) -> None:
         """Go on with the run in a folder, paused."""
         self.problem = Problem.read(folder / PROBLEM)
         self.folder, self.picture, self.complaint = folder, None, ""
@@ -101,7 +101,7 @@ class Side:
 
     def _tell(self, word: str, pace: float | None) -> None:
         if self._worker is None and self.folder is not None:  # it was lost, and goes on where it was
-            self.open(self.folder)
+            self.resume(self.folder)
         if self._worker is not None:
             self._worker.tell((word, pace))
 

@@ -70,7 +70,7 @@ class Studio:
         for side, run in zip(self.sides, runs, strict=False):
             if run is not None:
                 with contextlib.suppress(TorchdsError):  # it was removed
-                    side.open(run)
+                    side.resume(run)
         self._renewed()
 
     def keep(self) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from nicegui import ui
-
 from torchds.errors import TorchdsError
+from train.view.studio.nice import ui
 from train.view.studio.state import Studio
 
 EVERYTHING = frozenset({"problem", "imitation", "side 0", "side 1", "mass"})
