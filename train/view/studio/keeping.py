@@ -28,13 +28,13 @@ def demonstrations(studio: Studio) -> bytes:
     return written(".npz", studio.problem.demonstrations().save_npz)
 
 
-def policy(studio: Studio) -> bytes:
+def policies(studio: Studio) -> bytes:
     """A file that `torchds.load_policy` reads: the policies of all runs of the first learner, or else the imitated one."""
     picture, task = studio.fresh(0), studio.task
-    learned = studio.policy() if picture is None else picture.policies
-    if learned is None or task is None:
+    policy = studio.policy() if picture is None else picture.policies
+    if policy is None or task is None:
         raise InvalidArgumentError("there is no policy yet; draw a motion first")
-    return written(".pt", lambda path: learned.save(path, **task.about(learned)))
+    return written(".pt", lambda path: policy.save(path, **task.about(policy)))
 
 
 def program(studio: Studio) -> bytes:

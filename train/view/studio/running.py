@@ -41,7 +41,7 @@ NUMBERS = {
 SECOND = {"optimizer": "adam", "updates": 50}  # the learner to compare with, to begin with
 FASTEST = 100.0  # updates a second
 FILES: dict[str, tuple[str, Callable[[Studio], bytes]]] = {
-    "Policy": (".pt", keeping.policy),
+    "Policy": (".pt", keeping.policies),
     "Demonstrations": (".npz", keeping.demonstrations),
     "Problem": (".json", keeping.problem),
     "Picture": (".svg", keeping.svg),

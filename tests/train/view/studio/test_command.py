@@ -27,5 +27,5 @@ def test_a_port_that_does_not_exist_is_a_sentence(port):
 
 def test_two_studios_do_not_share_a_folder(tmp_path):
     pytest.importorskip("nicegui")
-    with one_writer(tmp_path), pytest.raises(FileError, match="works"):
+    with one_writer(tmp_path), pytest.raises(FileError, match="in use"):
         Studio(folder=tmp_path, show=False).main()

@@ -35,7 +35,7 @@ def studio(tmp_path_factory):
 
 
 def test_files_are_read_as_what_was_on_the_page(tmp_path, studio):
-    made = {".json": keeping.problem, ".npz": keeping.demonstrations, ".pt": keeping.policy}
+    made = {".json": keeping.problem, ".npz": keeping.demonstrations, ".pt": keeping.policies}
     for ending, make in made.items():
         (tmp_path / f"it{ending}").write_bytes(make(studio))
     assert Problem.read(tmp_path / "it.json") == studio.problem
@@ -66,7 +66,7 @@ def test_the_script_gives_the_policy_that_was_learned(tmp_path, studio):
 def test_without_a_drawing_there_is_nothing_to_take(studio):
     before = studio.problem
     studio.change(strokes=[])
-    for make in (keeping.policy, keeping.svg, keeping.demonstrations):
+    for make in (keeping.policies, keeping.svg, keeping.demonstrations):
         with pytest.raises(InvalidArgumentError, match=r"draw|nothing"):
             make(studio)
     assert showing.imitated(studio) == {"imitated": [], "gaussians": []} and showing.field(studio, 0, 1.6) == []
