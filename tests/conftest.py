@@ -1,5 +1,7 @@
 """Shared by all tests: one thread, and random objects in float64 from one seed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import threadpoolctl
@@ -7,10 +9,21 @@ import torch
 
 import torchds
 
+UNTRACED = [Path(__file__).with_name(name) for name in ("tasks", "train")]
+
 
 def pytest_configure(config):
     # Tests of these warnings ask for them. Named in pyproject.toml, torchds would be imported before coverage looks.
     config.addinivalue_line("filterwarnings", "ignore::torchds.errors.DemonstrationWarning")
+
+
+def pytest_collection_modifyitems(items):
+    """Tests that are slow where coverage looks are marked no_cover: those in which torch or Triton traces a program, which it
+    takes twice as long, and those of tasks and commands, which reach hardly a line of torchds that its own tests leave out.
+    """
+    for item in items:
+        if any(map(item.path.is_relative_to, UNTRACED)):
+            item.add_marker("no_cover")
 
 
 def pytest_runtest_setup(item):

@@ -11,6 +11,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.faults import cases
+from tests.fitted import fitted_once  # noqa: F401
 from tests.motions import Short
 from torchds import files
 from torchds.errors import FileError, InvalidArgumentError, TorchdsError

@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,8 @@ import torch
 
 import torchds
 from torchds import testing
+from train import __main__ as commands
+from train.learning import figures
 
 PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
 SECTIONS = re.findall(r"^## (.+?)\n.*?```python\n(.*?)```", PAGE.read_text(), re.M | re.S)
@@ -137,7 +138,8 @@ def test_the_task_is_learned(page):
 
 
 @pytest.mark.slow
-def test_the_command_learns_the_task_with_its_own_options_and_the_optimizer(tmp_path):
+def test_the_command_learns_the_task_with_its_own_options_and_the_optimizer(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "of_run", lambda learner: {})
     examples, file = dict(SECTIONS), tmp_path / "my_file.py"
     file.write_text(examples["A task"] + examples["An optimizer"])
     options = [
@@ -152,8 +154,8 @@ def test_the_command_learns_the_task_with_its_own_options_and_the_optimizer(tmp_
         "--logdir",
         str(tmp_path),
     ]
-    command = [sys.executable, "-m", "train", f"{file}:Detour", *options]
-    subprocess.run(command, check=True, cwd=PAGE.parents[1], capture_output=True)
+    monkeypatch.setattr(sys, "argv", ["train", f"{file}:Detour", *options])
+    assert commands.main() == 0
     (found,) = (tmp_path / "detour" / "Winner").rglob("results.json")
     results = json.loads(found.read_text())
     assert set(results["terms"]) == {"above", "goal", "control"}

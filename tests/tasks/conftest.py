@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from tests.fitted import fitted_once  # noqa: F401
+
 
 @pytest.fixture
 def tracked():

@@ -94,3 +94,9 @@ def test_a_fit_uses_one_thread_and_gives_the_others_back(arc, monkeypatch):
         assert threads() == before
     assert 2 in before
     assert seen == [{1}, {1}]
+
+
+def test_equal_samples_and_seeds_give_equal_mixtures_bit_for_bit(arc):
+    one, other = (em.fit(arc[::10].copy(), 2, OPTIONS) for _ in range(2))
+    for name in ("weights_", "means_", "covariances_"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()

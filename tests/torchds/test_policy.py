@@ -362,6 +362,7 @@ def test_only_the_experts_are_learnable(random_policy):
 
 
 @pytest.mark.slow
+@pytest.mark.no_cover
 @pytest.mark.parametrize("batch", [(), (3,)])
 def test_the_compiled_policy_equals_the_eager_one(random_policy, randn, batch):
     policy, x = random_policy(Q=1, batch=batch), randn(*batch, 5, 2).requires_grad_()

@@ -50,6 +50,7 @@ def test_its_gradients_are_those_of_the_loop(random_policy, randn):
 
 
 @pytest.mark.slow
+@pytest.mark.no_cover
 def test_other_sizes_and_time_steps_may_follow(random_policy, randn):
     """What was traced first must not decide about what comes later: sizes become symbols, time steps must not."""
     force = ConstantForce(torch.tensor([0.3, -0.2], dtype=torch.float64))

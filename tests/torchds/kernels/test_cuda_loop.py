@@ -7,7 +7,7 @@ from tests.torchds.kernels.comparison import both, needs_numba
 from tests.torchds.kernels.interpreted import interpreter  # noqa: F401
 from torchds import Bounds, GMRPolicy, rollout
 
-pytestmark = [needs_numba, pytest.mark.slow]
+pytestmark = [needs_numba, pytest.mark.slow, pytest.mark.no_cover]
 
 
 @pytest.mark.parametrize(

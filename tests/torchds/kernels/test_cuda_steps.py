@@ -11,7 +11,7 @@ from torchds.forces import ConstantForce, DivergentForce
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import PointMass
 
-pytestmark = [needs_numba, pytest.mark.slow]
+pytestmark = [needs_numba, pytest.mark.slow, pytest.mark.no_cover]
 
 SQUARE = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], dtype=torch.float64)
 LINE = torch.stack([torch.linspace(-2, 2, 6), torch.sin(torch.linspace(-2, 2, 6))], -1).double()

@@ -65,7 +65,7 @@ class Killed(BaseException):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("motion", "fault"), [("letter", "kill"), ("poses", "kill"), ("poses", "full")])
+@pytest.mark.parametrize(("motion", "fault"), [("letter", "kill"), ("poses", "full")])
 def test_killed_or_on_a_full_disk_at_every_write_it_ends_as_an_undisturbed_one(tmp_path, monkeypatch, motion, fault):
     faults, move = 0, os.replace
 

@@ -32,10 +32,18 @@ def learner(**changed):
     return Learner(options(grains="coarse", **changed))
 
 
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """The folder of a session that has asked."""
+    folder = tmp_path_factory.mktemp("begun") / "s"
+    Session.start(folder, options()).ask()
+    return folder
+
+
 @pytest.fixture
-def session(tmp_path):
-    """A session in `tmp_path`/s that has asked."""
-    Session.start(tmp_path / "s", options()).ask()
+def session(begun, tmp_path):
+    """A copy of it in `tmp_path`/s."""
+    shutil.copytree(begun, tmp_path / "s")
     return lambda: Session.open(tmp_path / "s")
 
 

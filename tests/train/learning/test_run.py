@@ -63,7 +63,7 @@ def test_tensorboard_has_scalars_figures_and_hparams(finished):
 
 
 @pytest.mark.slow
-def test_a_run_of_ten_updates_shows_its_motion_at_each_tenth_over_rollouts(tmp_path):
+def test_a_run_of_ten_updates_shows_its_motion_at_each_tenth_over_rollouts(undrawn, tmp_path):
     folder = run(options_for("via_point", runs=2, updates=20, rollouts=3, logdir=tmp_path))
     events = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0}).Reload()
     assert [picture.step for picture in events.Images("trial/motion")] == list(range(0, 61, 6))
@@ -72,7 +72,7 @@ def test_a_run_of_ten_updates_shows_its_motion_at_each_tenth_over_rollouts(tmp_p
 
 
 @pytest.mark.slow
-def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_path):
+def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, undrawn, tmp_path):
     options = options_for("via_point", runs=2, updates=4, rollouts=5, logdir=tmp_path)
     assert costs(run(options)) == costs(finished)
     options.seed = 1
@@ -81,7 +81,7 @@ def test_equal_seeds_give_equal_results_and_other_seeds_do_not(finished, tmp_pat
 
 @pytest.mark.parametrize(("noise", "runs"), [(0.0, 1), (0.1, 3)])
 @pytest.mark.slow
-def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, tmp_path, capsys):
+def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, undrawn, tmp_path, capsys):
     folder = run(options_for("via_point", runs=3, updates=1, optimizer="adam", cost_noise=noise, logdir=tmp_path))
     assert [len(row) for row in costs(folder)] == [runs, runs]
     said = "nothing is random with --optimizer adam; one run stands for all 3" in capsys.readouterr().out
@@ -89,9 +89,10 @@ def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, tmp_path, c
 
 
 @pytest.mark.slow
-def test_a_primitive_leaves_figures_and_no_policy_file(tmp_path):
+def test_a_primitive_leaves_figures_and_no_policy_file(tmp_path, request):
     folder = run(options_for("via_point", system="dmp", runs=2, updates=2, logdir=tmp_path))
     assert (folder / "motion.png").exists() and not (folder / "policy.pt").exists()
+    request.getfixturevalue("undrawn")
     extended = run(options_for("via_point", resume=folder, updates=3), given={"resume", "updates"})
     assert len(costs(extended)) == 4
 
@@ -135,11 +136,11 @@ def test_zero_updates_leave_the_imitated_policy(tmp_path):
 @pytest.mark.parametrize("exploration", ["homogeneous", "gaussian"])
 @pytest.mark.parametrize("decay", ["inverse", "none"])
 @pytest.mark.slow
-def test_every_exploration_and_decay_runs(exploration, decay, tmp_path):
+def test_every_exploration_and_decay_runs(exploration, decay, undrawn, tmp_path):
     run(options_for("via_point", updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))
 
 
-def test_a_learner_that_finds_noise_says_how_much_there_was(tmp_path, capsys):
+def test_a_learner_that_finds_noise_says_how_much_there_was(undrawn, tmp_path, capsys):
     options = options_for("via_point", runs=20, updates=10, optimizer="surrogate", logdir=tmp_path, cost_noise=0.5)
     folder = run(options)
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("estimated noise"))

@@ -17,7 +17,7 @@ def task():
 
 
 @pytest.mark.slow
-def test_the_certificate_of_every_update_is_logged(tmp_path):
+def test_the_certificate_of_every_update_is_logged(undrawn, tmp_path):
     folder = run(options_for("constrained_reaching", runs=2, updates=3, rollouts=5, logdir=tmp_path))
     events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
     eigenvalues = [event.value for event in events.Scalars("stability/largest_eigenvalue")]
