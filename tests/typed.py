@@ -16,7 +16,7 @@ from train import __main__ as train_main
 
 
 def typed(words):
-    """The exit code of a command in a process of its own."""
+    """The exit code of a command in a process of its own, and the seconds that it kept a core busy."""
     sys.stdout.flush()
     if (pid := os.fork()) == 0:
         code = 1
@@ -28,11 +28,14 @@ def typed(words):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    _, status, used = os.wait4(pid, 0)
+    return os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":
     for line in sys.stdin:
         print(f"python -m train {line.strip()}")
-        if code := typed(shlex.split(line)):
+        code, seconds = typed(shlex.split(line))
+        if code:
             sys.exit(f"ended with {code}: python -m train {line.strip()}")
+        print(f"took {seconds:.1f} s")

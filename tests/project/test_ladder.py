@@ -1,6 +1,7 @@
 """Imports point one way: from rung to rung in each package, from train to tasks to torchds, and nowhere in a circle."""
 
 import ast
+import functools
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def files(package):
 MODULES = files("torchds") | files("tasks") | files("train")
 
 
+@functools.cache
 def imported(path, types=True):
     """The modules of this project that a file imports; with `types`, those that only its annotations need too."""
     tree = ast.parse(path.read_text())

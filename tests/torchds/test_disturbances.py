@@ -77,6 +77,7 @@ def test_fused_roll_outs_see_the_same(random_policy, randn, form, points):
     both(policy, 0.3 * randn(*points, 2), T + 5, DT, plant=plant)  # none is left for the last steps
 
 
+@pytest.mark.slow
 @pytest.mark.no_cover
 def test_a_program_that_is_traced_sees_the_same(random_policy, randn):
     policy, x0 = random_policy(3, 2, 2, 1), 0.3 * randn(2)

@@ -176,6 +176,7 @@ def test_exploration_is_wider_and_does_not_decay_where_costs_are_noisy():
     assert 0.8 < wider.mean() < 1.2
 
 
+@pytest.mark.slow
 def test_noisy_costs_are_weighed_by_what_similar_policies_cost():
     """With much noise and many roll-outs remembered, predictions lead nearer to the target than measurements."""
     ends = []

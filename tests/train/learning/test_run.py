@@ -140,6 +140,7 @@ def test_every_exploration_and_decay_runs(exploration, decay, undrawn, tmp_path)
     run(options_for("via_point", updates=1, exploration=exploration, decay=decay, shape="P", logdir=tmp_path))
 
 
+@pytest.mark.slow
 def test_a_learner_that_finds_noise_says_how_much_there_was(undrawn, tmp_path, capsys):
     options = options_for("via_point", runs=20, updates=10, optimizer="surrogate", logdir=tmp_path, cost_noise=0.5)
     folder = run(options)
