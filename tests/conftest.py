@@ -9,7 +9,8 @@ import torch
 
 import torchds
 
-UNTRACED = [Path(__file__).with_name(name) for name in ("tasks", "train")]
+HERE = Path(__file__).parent
+UNTRACED, TRACED = (HERE / "tasks", HERE / "train"), HERE / "train" / "hardware"
 
 
 def pytest_configure(config):
@@ -19,10 +20,11 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     """Tests that are slow where coverage looks are marked no_cover: those in which torch or Triton traces a program, which it
-    takes twice as long, and those of tasks and commands, which reach hardly a line of torchds that its own tests leave out.
+    takes twice as long, and those of tasks and commands, which reach hardly a line of torchds that its own tests leave out;
+    those of sessions with a robot do.
     """
     for item in items:
-        if any(map(item.path.is_relative_to, UNTRACED)):
+        if any(map(item.path.is_relative_to, UNTRACED)) and not item.path.is_relative_to(TRACED):
             item.add_marker("no_cover")
 
 

@@ -28,6 +28,9 @@ def forked(size, work):
             except BaseException:
                 traceback.print_exc()
             finally:
+                if "coverage" in sys.modules and (looking := sys.modules["coverage"].Coverage.current()):
+                    looking.stop()
+                    looking.save()  # in a file of this process, since it ends without a word
                 sys.stderr.flush()
                 os._exit(code)
         os.close(writer)
