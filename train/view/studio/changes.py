@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tasks.sketch import Problem
+from tasks.sketch.problem import MOST_POINTS
 from torchds import Demonstrations
 from torchds.errors import InvalidArgumentError
 
@@ -19,9 +20,10 @@ Fields = dict[str, Any]
 
 
 def stroke(problem: Problem, points: Sequence[Point]) -> Fields:
-    """One more stroke of the pointer, `[t, x1, x2]` each, with any clock [s]."""
+    """One more stroke of the pointer, `[t, x1, x2]` each, with any clock [s]; of very many points every second one or fewer."""
     begun = points[0][0]
-    rows = [[round(t - begun, 4), round(x1, 5), round(x2, 5)] for t, x1, x2 in points]
+    every = math.ceil(len(points) / MOST_POINTS)
+    rows = [[round(t - begun, 4), x1, x2] for t, x1, x2 in points[::-every][::-1]]
     return {"strokes": [*problem.strokes, rows]}
 
 
@@ -51,9 +53,15 @@ def recorded(problem: Problem, demos: Demonstrations) -> Fields:
 
 
 def placed(problem: Problem, kind: str, begin: Point, end: Point) -> Fields:
-    """A via-point at `end`, a wall between both, or a forbidden disc around `begin`."""
+    """A via-point at `end`, a wall between both, or a forbidden disc around `begin`.
+
+    Raises:
+        InvalidArgumentError: a wall or a disc without a size.
+    """
     if kind == "via":
         return {"via_points": [*problem.via_points, end]}
+    if tuple(begin) == tuple(end):
+        raise InvalidArgumentError(f"a {kind} needs two places: press at one, move, and let go at the other")
     if kind == "wall":
         return {"walls": [*problem.walls, [begin, end]]}
     return {"regions": [*problem.regions, {"center": begin, "radius": math.dist(begin, end)}]}

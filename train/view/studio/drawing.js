@@ -6,6 +6,7 @@ const COLOURS = {
   ground: "#ffffff", grid: "#e7ecf1",
 };
 const NEAR = 16; // pixels
+const MOST = 4000; // points of a stroke; of more, every second one goes: a message has to stay below a megabyte
 
 export default {
   template: `<canvas tabindex="0" role="img" :aria-label="label"
@@ -44,17 +45,19 @@ export default {
     },
     at(event) {
       const box = this.$el.getBoundingClientRect(), { scale, left, bottom } = this.frame();
-      return [(event.clientX - box.left - left) / scale, (bottom - (event.clientY - box.top)) / scale];
+      const place = [(event.clientX - box.left - left) / scale, (bottom - (event.clientY - box.top)) / scale];
+      const digits = Math.min(Math.max(Math.ceil(Math.log10(scale)) + 2, 0), 20); // a hundredth of a pixel
+      return place.map((x) => +x.toFixed(digits));
     },
     stamped(event) {
       const [x, y] = this.at(event);
-      return [event.timeStamp / 1000, x, y];
+      return [+(event.timeStamp / 1000).toFixed(5), x, y];
     },
     down(event) {
       if (event.button > 0 || this.pointer) return;
       this.$el.setPointerCapture(event.pointerId);
       const here = this.at(event);
-      this.pointer = { id: event.pointerId, from: here, points: [this.stamped(event)], held: null, told: 0 };
+      this.pointer = { id: event.pointerId, tool: this.tool, from: here, points: [this.stamped(event)], held: null, told: 0 };
       if (this.tool === "move") this.pointer.held = this.nearest(here, ["start", "goal", "via"]);
       if (this.tool === "erase") {
         const found = this.nearest(here, ["via", "walls", "regions", "strokes"]);
@@ -68,6 +71,7 @@ export default {
       if (!pointer || pointer.id !== event.pointerId) return;
       const events = event.getCoalescedEvents ? event.getCoalescedEvents() : [];
       for (const each of events.length ? events : [event]) pointer.points.push(this.stamped(each));
+      if (pointer.points.length > MOST) pointer.points = pointer.points.filter((_, i) => i % 2 === 0 || i === MOST);
       this.tell(false);
       this.ask();
     },
@@ -75,24 +79,24 @@ export default {
       const pointer = this.pointer;
       if (!pointer || pointer.id !== event.pointerId) return;
       this.pointer = null;
-      const to = this.at(event);
-      if (this.tool === "draw") this.$emit("stroke", { points: pointer.points, done: true });
-      if (this.tool === "via") this.$emit("place", { kind: "via", from: to, to });
-      if (this.tool === "wall") this.$emit("place", { kind: "wall", from: pointer.from, to });
-      if (this.tool === "region") this.$emit("place", { kind: "region", from: pointer.from, to });
-      if (this.tool === "move" && pointer.held) this.$emit("drag", { ...pointer.held, at: to, done: true });
-      if (this.tool === "pull") this.$emit("pull", { at: null });
+      const to = this.at(event), tool = pointer.tool; // it may be another one by now
+      if (tool === "draw") this.$emit("stroke", { points: pointer.points, done: true });
+      if (tool === "via") this.$emit("place", { kind: "via", from: to, to });
+      if (tool === "wall") this.$emit("place", { kind: "wall", from: pointer.from, to });
+      if (tool === "region") this.$emit("place", { kind: "region", from: pointer.from, to });
+      if (tool === "move" && pointer.held) this.$emit("drag", { ...pointer.held, at: to, done: true });
+      if (tool === "pull") this.$emit("pull", { at: null });
       this.ask();
     },
     tell(now) {
       // At most one message in a picture for what is dragged, and five in a second for what is drawn.
-      const pointer = this.pointer, time = performance.now();
-      if (time - pointer.told < (this.tool === "draw" ? 200 : 15)) return;
+      const pointer = this.pointer, tool = pointer.tool, time = performance.now();
+      if (time - pointer.told < (tool === "draw" ? 200 : 15)) return;
       pointer.told = time;
       const at = pointer.points[pointer.points.length - 1].slice(1);
-      if (this.tool === "draw") this.$emit("stroke", { points: pointer.points, done: false });
-      if (this.tool === "move" && pointer.held) this.$emit("drag", { ...pointer.held, at, done: false });
-      if (this.tool === "pull") this.$emit("pull", { at });
+      if (tool === "draw") this.$emit("stroke", { points: pointer.points, done: false });
+      if (tool === "move" && pointer.held) this.$emit("drag", { ...pointer.held, at, done: false });
+      if (tool === "pull") this.$emit("pull", { at });
     },
     nearest(here, kinds) {
       const { scale } = this.frame(), found = { distance: NEAR / scale };
@@ -170,10 +174,10 @@ export default {
       if (l.mass) this.pulled(c, l.mass, X, Y, line, disc);
       this.legend(c, width);
       const pointer = this.pointer;
-      if (pointer && this.tool === "draw") line(pointer.points.map((p) => p.slice(1)), COLOURS.sketch, 3);
-      if (pointer && (this.tool === "wall" || this.tool === "region")) {
+      if (pointer && pointer.tool === "draw") line(pointer.points.map((p) => p.slice(1)), COLOURS.sketch, 3);
+      if (pointer && (pointer.tool === "wall" || pointer.tool === "region")) {
         const to = pointer.points[pointer.points.length - 1].slice(1);
-        if (this.tool === "wall") line([pointer.from, to], COLOURS.wall, 5, [], 0.5);
+        if (pointer.tool === "wall") line([pointer.from, to], COLOURS.wall, 5, [], 0.5);
         else disc(pointer.from, scale * Math.hypot(to[0] - pointer.from[0], to[1] - pointer.from[1]), COLOURS.region, COLOURS.rim);
       }
       canvas.dataset.drawn = ++this.drawn;

@@ -36,11 +36,9 @@ class Imitation(NamedTuple):
 
 
 def imitate(pipe: Pipe) -> None:
-    """Answer each `(number, problem)` with `(number, Imitation or Failed)`; of several that wait, the last one counts."""
+    """Answer each `(number, problem)` with `(number, Imitation or Failed)`."""
     while True:
         number, problem = pipe.next()
-        while pipe.waits():
-            number, problem = pipe.next()
         pipe.send((number, said(partial(imitated, problem))))
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import torch
 from matplotlib.figure import Figure
 
+from tasks.sketch import Problem
 from tasks.sketch.script import script
 from torchds import plotting
-from torchds.errors import InvalidArgumentError
+from torchds.files import make_folder
 from train.learning.figures import draw_scene
 from train.view.studio.side import stem
 from train.view.studio.state import Studio
+
+PROBLEMS = "problems"  # the folder of those that scripts read
 
 
 def problem(studio: Studio) -> bytes:
@@ -30,16 +34,18 @@ def demonstrations(studio: Studio) -> bytes:
 
 def policies(studio: Studio) -> bytes:
     """A file that `torchds.load_policy` reads: the policies of all runs of the first learner, or else the imitated one."""
-    picture, task = studio.fresh(0), studio.task
-    policy = studio.policy() if picture is None else picture.policies
-    if policy is None or task is None:
-        raise InvalidArgumentError("there is no policy yet; draw a motion first")
+    picture = studio.fresh(0)
+    policy, task = studio.settled()
+    policy = policy if picture is None else picture.policies
     return written(".pt", lambda path: policy.save(path, **task.about(policy)))
 
 
 def program(studio: Studio) -> bytes:
-    """The Python script that does the same; the problem that it reads is kept beside the page's state."""
-    path = studio.folder / f"{stem(studio.problem)}.json"
+    """The Python script that does the same; the problem that it reads is kept below the page's folder, and stays what it is."""
+    folder, name = studio.folder / PROBLEMS, stem(studio.problem)
+    make_folder(folder)
+    paths = (folder / f"{name}{'' if i == 1 else f'_{i}'}.json" for i in count(1))
+    path = next(path for path in paths if not path.exists() or Problem.read(path) == studio.problem)
     studio.problem.write(path)
     return script(path).encode()
 
@@ -55,11 +61,9 @@ def png(studio: Studio) -> bytes:
 
 
 @torch.no_grad()
-def picture(studio: Studio, kind: str, index: int = 0) -> bytes:
+def picture(studio: Studio, kind: str) -> bytes:
     """What is on the table, as "svg" or "png"."""
-    found, task = studio.policy(index), studio.task
-    if found is None or task is None:
-        raise InvalidArgumentError("there is no motion yet; draw one first")
+    found, task = studio.settled()
     figure = Figure(figsize=(8, 5.6), layout="constrained")
     axes = figure.subplots()
     path = task.rollout(found)
@@ -68,7 +72,7 @@ def picture(studio: Studio, kind: str, index: int = 0) -> bytes:
         plotting.demonstrations(axes, task.source)
     plotting.gaussians(axes, found)
     learned = found is not (studio.imitation and studio.imitation.policy)
-    if learned and studio.imitation is not None:
+    if learned and studio.imitation is not None and not studio.imitating:
         before = task.rollout(studio.imitation.policy).x
         plotting.trajectories(axes, before, color=plotting.BEFORE, label="imitated motion", lw=1.6)
     label = "learned motion" if learned else "imitated motion"

@@ -11,6 +11,7 @@ import torch
 from tasks.sketch import Problem, examples
 from train.view.studio import changes, panels, showing
 from train.view.studio.drawing import EVENTS, Drawing
+from train.view.studio.motions import motion
 from train.view.studio.nice import app, ui
 from train.view.studio.state import Studio
 from train.view.studio.window import Window
@@ -94,7 +95,7 @@ class View(Window):
             with ui.element("section").classes("studio-right").props('aria-label="settings"'):
                 panels.build(self)
         studio.views.append(self)
-        ui.context.client.on_delete(lambda: studio.views.remove(self))
+        ui.context.client.on_delete(lambda: studio.leave(self))
         ui.timer(1 / PICTURES, self.draw)
         self.news("problem")
 
@@ -125,6 +126,7 @@ class View(Window):
         """Start, goal or a via-point is somewhere else, for now or for good."""
         kind, at = said["kind"], said["at"]
         if said["done"]:
+            self.news("problem")  # what is refused is shown where it still is
             return self.studio.change(**changes.dragged(self.studio.problem, kind, said["index"], at))
         self.first.show(**self.moved(kind, said["index"], at))
 
@@ -141,8 +143,9 @@ class View(Window):
             names = {name: Problem.read(path).name for name, path in examples().items()}
             self.examples = ui.select(names, label="example", on_change=lambda e: self.example(e.value))
             self.examples.props("dense options-dense").style("min-width: 10rem")
-            for icon, label, call in (("undo", "undo", self.studio.undo), ("redo", "redo", self.studio.redo)):
-                ui.button(icon=icon, on_click=call).props(f'flat dense aria-label="{label}"').tooltip(label)
+            for label, call in {"undo": self.studio.undo, "redo": self.studio.redo}.items():
+                button = ui.button(icon=label, on_click=lambda call=call: self.attempt(call))
+                button.props(f'flat dense aria-label="{label}"').tooltip(label)
             self.tools = {}
             for name, (icon, label) in TOOLS.items():
                 button = ui.button(icon=icon, on_click=lambda name=name: self.use(name)).tooltip(label)
@@ -232,8 +235,8 @@ class View(Window):
         layers: dict[str, Any] = {kind: at}
         if studio.task is None:
             return layers
-        if studio.imitation is not None:
-            layers["imitated"] = [showing.plain(studio.motion(studio.imitation.policy, **place))]
+        if studio.imitation is not None and not studio.imitating:
+            layers["imitated"] = [showing.plain(motion(studio.task, studio.imitation.policy, **place), studio.table)]
         if (picture := studio.fresh(0)) is not None:
-            layers["motion"] = [showing.plain(studio.motion(picture.policy, **place))]
+            layers["motion"] = [showing.plain(motion(studio.task, picture.policy, **place), studio.table)]
         return layers

@@ -37,7 +37,6 @@ class Picture(NamedTuple):
         motion: `(runs, T', 2)` of the policies as they are, thinned.
         policies: of all runs, `(runs,)`.
         best: the run with the lowest cost.
-        running: whether it goes on by itself.
     """
 
     done: int
@@ -48,7 +47,6 @@ class Picture(NamedTuple):
     motion: Tensor
     policies: GMRPolicy
     best: int
-    running: bool
 
     @property
     def policy(self) -> GMRPolicy:
@@ -165,7 +163,6 @@ class Apprentice:
                 thinned(last.x),
                 learner.policy,
                 best(history.cost[-1]),
-                self.pace > 0,
             )
         )
         self.shown = time.monotonic()

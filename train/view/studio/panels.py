@@ -32,13 +32,15 @@ def said(studio: Studio) -> str:
     """What there is to say below the table, in a line."""
     parts = []
     known = studio.imitation
-    if studio.complaint:
+    if studio.imitating:
+        parts.append("imitating …")
+    elif studio.complaint:
         parts.append(studio.complaint)
     elif known is not None:
         parts.append(f"imitated in {known.seconds:.2f} s")
     elif not studio.problem.strokes:
         parts.append("Draw a motion on the table: press, move, let go.")
-    for i, side in enumerate(studio.sides):
+    for i, side in enumerate(studio.sides[: len(studio.problem.learners)]):
         picture = studio.fresh(i)
         if side.complaint:
             parts.append(side.complaint)
@@ -47,6 +49,8 @@ def said(studio: Studio) -> str:
             parts.append(
                 f"{'AB'[i]}: update {picture.done} of {picture.of}, cost {cost[-1]:.3g}, at the start {cost[0]:.3g}"
             )
+            if picture.done >= picture.of:
+                parts.append("all updates are made: Reset begins anew")
         elif side.stale(studio.problem):
             parts.append(f"{'AB'[i]} has learned an earlier version of the problem; Go begins anew")
     return " · ".join(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,16 +10,17 @@ from torch import Tensor
 
 from torchds import plotting
 from train.view.studio.state import Studio
-from train.view.studio.table import widened
+from train.view.studio.table import TABLE, Window, widened
 
 COLUMNS = 28  # of arrows
 LONGEST = 0.8  # arrow, in distances between two of them
 DASHED = "dashed"  # lines of the second learner
 
 
-def plain(x: Tensor | np.ndarray) -> Any:
-    """Nested lists of numbers, short enough to be sent often."""
-    return np.round(np.nan_to_num(np.asarray(x, dtype=float)), 4).tolist()
+def plain(x: Tensor | np.ndarray, table: Window = TABLE) -> Any:
+    """Nested lists of numbers, short enough to be sent often, exact enough for what is seen of the plane."""
+    digits = 4 - math.floor(math.log10((table[1] - table[0]) / 2))
+    return np.round(np.nan_to_num(np.asarray(x, dtype=float)), digits).tolist()
 
 
 def scenery(studio: Studio, shape: float) -> dict[str, Any]:
@@ -32,8 +34,8 @@ def scenery(studio: Studio, shape: float) -> dict[str, Any]:
         "via": p.via_points,
         "walls": p.walls,
         "regions": [[*region["center"], region["radius"]] for region in p.regions],
-        "start": p.start or [] if scene is None else plain(scene.starts[0]),
-        "goal": p.goal or [] if scene is None else plain(scene.goal),
+        "start": p.start or [] if scene is None else plain(scene.starts[0], studio.table),
+        "goal": p.goal or [] if scene is None else plain(scene.goal, studio.table),
     }
 
 
@@ -44,7 +46,7 @@ def imitated(studio: Studio) -> dict[str, Any]:
     policy = studio.imitation.policy
     ellipses = plotting.outlines(policy, 36)
     closed = np.concatenate([ellipses, ellipses[:, :1]], 1)
-    return {"imitated": [plain(studio.imitation.motion)], "gaussians": plain(closed)}
+    return {"imitated": [plain(studio.imitation.motion, studio.table)], "gaussians": plain(closed, studio.table)}
 
 
 def learned(studio: Studio, index: int, shape: float) -> dict[str, Any]:
@@ -52,8 +54,8 @@ def learned(studio: Studio, index: int, shape: float) -> dict[str, Any]:
     layers: dict[str, Any] = {"field": field(studio, index, shape), "trials": [], "motion": []}
     picture = studio.fresh(index)
     if picture is not None:
-        layers["trials"] = [path for trials in picture.trials for path in plain(trials)]
-        layers["motion"] = plain(picture.motion)
+        layers["trials"] = [path for trials in picture.trials for path in plain(trials, studio.table)]
+        layers["motion"] = plain(picture.motion, studio.table)
     return layers
 
 
@@ -69,7 +71,7 @@ def field(studio: Studio, index: int, shape: float) -> list[Any]:
     usual = np.nanmedian(speed) or 1.0
     length = LONGEST * (right - left) / COLUMNS
     arrows = length * v / np.maximum(speed, usual)
-    return plain(np.stack([x - arrows / 2, x + arrows / 2], 1))
+    return plain(np.stack([x - arrows / 2, x + arrows / 2], 1), (left, right, low, high))
 
 
 def mass(studio: Studio) -> dict[str, Any] | None:
@@ -78,10 +80,10 @@ def mass(studio: Studio) -> dict[str, Any] | None:
     if pushed is None:
         return None
     return {
-        "at": plain(pushed.at),
-        "reference": plain(pushed.reference),
-        "hand": None if pushed.hand is None else plain(pushed.hand),
-        "trail": [plain(x) for x in pushed.trail[::3]],
+        "at": plain(pushed.at, studio.table),
+        "reference": plain(pushed.reference, studio.table),
+        "hand": None if pushed.hand is None else plain(pushed.hand, studio.table),
+        "trail": [plain(x, studio.table) for x in pushed.trail[::3]],
     }
 
 

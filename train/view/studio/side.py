@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+import shutil
+import unicodedata
+from dataclasses import fields, replace
 from pathlib import Path
 
 from tasks.sketch import Problem
+from torchds.errors import TorchdsError
 from train.folder import RunFolder
+from train.learning.run import check
 from train.options import options_class
 from train.view.studio.learning import Picture, learn
 from train.view.studio.worker import Failed, Worker
 
 PROBLEM = "problem.json"
+LEARNED = [field.name for field in fields(Problem) if field.name not in ("name", "learners")]  # what a run is about
 
 
 def stem(problem: Problem) -> str:
-    """Its name, fit for a file."""
-    return re.sub(r"[^a-z0-9]+", "_", problem.name.lower()).strip("_") or "drawing"
+    """Its name, fit for a file: in plain letters, without accents; "drawing" where none are left."""
+    plain = unicodedata.normalize("NFKD", problem.name).encode("ascii", "ignore").decode().lower()
+    return re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "drawing"
 
 
 class Side:
@@ -32,6 +38,7 @@ class Side:
         problem: that is learned; None before the first run.
         picture: the last one that came; None before it.
         complaint: why it does not go on, a sentence; empty where it does.
+        running: whether it was told to make updates by itself.
     """
 
     def __init__(self, index: int, logdir: Path) -> None:
@@ -40,6 +47,7 @@ class Side:
         self.problem: Problem | None = None
         self.picture: Picture | None = None
         self.complaint = ""
+        self.running = False
         self._worker: Worker | None = None
 
     # ------------------------------------------------------------------ what it is asked
@@ -51,8 +59,12 @@ class Side:
         return replace(problem, learners=(problem.learners[self.index],))
 
     def stale(self, problem: Problem) -> bool:
-        """Whether its run is of another problem, or with other settings."""
-        return self.problem is not None and self.problem != self.wanted(problem)
+        """Whether its run is of another problem, or with other settings; what the problem is called does not matter."""
+        own = self.problem
+        return own is not None and (
+            own.learners != problem.learners[self.index : self.index + 1]
+            or any(getattr(own, name) != getattr(problem, name) for name in LEARNED)
+        )
 
     def begin(self, problem: Problem) -> None:
         """Begin anew, paused; the run before stays where it is.
@@ -66,11 +78,18 @@ class Side:
             return self.end()
         wanted.demonstrations()  # says what is missing before a folder is made
         learner = wanted.learners[0]
-        optimizer, seed = str(learner.get("optimizer", "pibb")), int(learner.get("seed", 0))
-        folder = RunFolder.new(self.logdir, stem(wanted), optimizer, seed)
-        wanted.write(folder.path / PROBLEM)
-        options = options_class(str(folder.path / PROBLEM))()
-        folder.begin(options.task, options.to_json())
+        seed = learner.get("seed")
+        folder = RunFolder.new(
+            self.logdir, stem(wanted), str(learner.get("optimizer", "pibb")), seed if isinstance(seed, int) else 0
+        )
+        try:
+            wanted.write(folder.path / PROBLEM)
+            options = options_class(str(folder.path / PROBLEM))()
+            check(options)
+            folder.begin(options.task, options.to_json())
+        except TorchdsError:
+            shutil.rmtree(folder.path, ignore_errors=True)
+            raise
         self.end()
         self.resume(folder.path)
 
@@ -83,13 +102,16 @@ class Side:
     def go(self, pace: float) -> None:
         """Make so many updates a second."""
         self._tell("go", pace)
+        self.running = True
 
     def step(self) -> None:
         """Make one update."""
         self._tell("step", None)
+        self.running = False
 
     def pause(self) -> None:
         """Stop after this update."""
+        self.running = False
         if self._worker is not None:
             self._worker.tell(("pause", None))
 
@@ -97,7 +119,7 @@ class Side:
         """Let the process go; the run stays in its folder."""
         if self._worker is not None:
             self._worker.end()
-        self._worker = None
+        self._worker, self.running = None, False
 
     def _tell(self, word: str, pace: float | None) -> None:
         if self._worker is None and self.folder is not None:  # it was lost, and goes on where it was
@@ -106,16 +128,6 @@ class Side:
             self._worker.tell((word, pace))
 
     # ------------------------------------------------------------------ what it answers
-
-    @property
-    def process(self) -> int | None:
-        """The number of its process."""
-        return None if self._worker is None else self._worker.process.pid
-
-    @property
-    def running(self) -> bool:
-        """Whether it makes updates by itself."""
-        return self._worker is not None and self.picture is not None and self.picture.running
 
     def heard(self) -> bool:
         """Take what has come; whether there was anything."""
@@ -127,8 +139,6 @@ class Side:
             self.complaint = self.complaint or (
                 f"The learner's process has ended. What it had learned after {done} updates is kept: Go goes on there."
             )
-            if self.picture is not None:
-                self.picture = self.picture._replace(running=False)
             self.end()
             return True
         for answer in answers:

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
 
 from tasks import Task
 from tasks.sketch import Problem, Sketch, examples
-from torchds import GMRPolicy, rollout
+from torchds import GMRPolicy
 from torchds.errors import InvalidArgumentError, TorchdsError
 from train.folder import make_folder
 from train.view.studio import changes, kept
-from train.view.studio.imitating import Imitation, imitate
+from train.view.studio.history import History
+from train.view.studio.imitating import Imitation
+from train.view.studio.imitator import Imitator
 from train.view.studio.learning import Picture
 from train.view.studio.pushing import Execution, Pushed
 from train.view.studio.side import Side
 from train.view.studio.table import TABLE, near, points, seen
-from train.view.studio.worker import Failed, Worker
+from train.view.studio.worker import Failed
 
 FIRST = "an_s"  # of the examples
-SERIES = 1.0  # s between two changes of one slider
 REACH, MOMENT = 0.25, 0.3  # table widths; s
 
 
@@ -46,6 +45,7 @@ class Studio:
         problem: as it is now.
         imitation: what was last made of the drawing; None where nothing could be.
         complaint: why nothing could be, a sentence.
+        history: for undo and redo.
         sides: the two learners.
         pushed: the mass that can be pulled at; None where there is none.
         table: what is seen of the plane, left, right, low and high.
@@ -55,19 +55,17 @@ class Studio:
         self.folder = folder
         make_folder(folder)
         self.problem, runs = kept.read(folder) or (Problem.read(examples()[FIRST]), [])
-        self.past: list[Problem] = []
-        self.future: list[Problem] = []
+        self.history = History()
         self.views: list[View] = []
         self.imitation: Imitation | None = None
         self.complaint = ""
         self.sides = [Side(i, folder.parent) for i in range(2)]
         self.pushed: Pushed | None = None
         self.table = TABLE
-        self._adjusted: tuple[tuple[str, ...], float] = ((), 0.0)
+        self._sketching = False  # whether the system is asked for of a stroke that is not done
         self._task: Task | None = None
-        self._asked = 0
-        self._imitator = Worker(imitate)
-        for side, run in zip(self.sides, runs, strict=False):
+        self._imitator = Imitator()
+        for side, run in zip(self.sides[: len(self.problem.learners)], runs, strict=False):
             if run is not None:
                 with contextlib.suppress(TorchdsError):  # it was removed
                     side.resume(run)
@@ -89,41 +87,35 @@ class Studio:
 
     def adjust(self, **fields: Any) -> None:
         """The same, where a series of changes of the same fields, by a slider, is undone at once."""
-        now, names = time.monotonic(), tuple(fields)
-        series = names == self._adjusted[0] and now - self._adjusted[1] < SERIES
+        before = self.problem
         self.change(**fields)
-        if series and len(self.past) > 1:
-            self.past.pop()
-        self._adjusted = names, now
+        self.history.join(tuple(fields), before, self.problem)
 
     def put(self, problem: Problem) -> None:
         """Another problem, which can be undone."""
         if problem != self.problem:
-            self.past.append(self.problem)
-            self.future.clear()
+            self.history.add(self.problem)
             self._set(problem)
 
     def undo(self) -> None:
         """The problem as it was before the last change."""
-        if self.past:
-            self.future.append(self.problem)
-            self._set(self.past.pop())
+        self._set(self.history.back(self.problem))
 
     def redo(self) -> None:
         """What was undone last."""
-        if self.future:
-            self.past.append(self.problem)
-            self._set(self.future.pop())
+        self._set(self.history.forth(self.problem))
 
     def _set(self, problem: Problem) -> None:
         before, self.problem = self.problem, problem
-        self.keep()
-        for side in self.sides:
-            if side.running and side.stale(problem):
+        for i, side in enumerate(self.sides):
+            if i >= len(problem.learners):
+                side.end()
+            elif side.running and side.stale(problem):
                 side.pause()
         if replace(before, learners=problem.learners, name=problem.name) != problem:
             self._renewed()
         self.tell("problem", "side 0", "side 1")
+        self.keep()
 
     def _renewed(self) -> None:
         """Another drawing: the table, the task, and what is to be imitated."""
@@ -133,11 +125,15 @@ class Studio:
 
     def imitate(self, problem: Problem) -> None:
         """Ask for the system of a drawing, this one or one that is still being drawn."""
-        self._asked += 1
-        if problem.strokes:
-            return self._imitator.tell((self._asked, problem))
-        self.imitation, self.pushed, self.complaint = None, None, ""
+        self._imitator.ask(problem if problem.strokes else None)
+        if not problem.strokes:
+            self.imitation, self.pushed, self.complaint = None, None, ""
         self.tell("imitation", "mass")
+
+    @property
+    def imitating(self) -> bool:
+        """Whether the system of the drawing as it is now is still to come."""
+        return self._imitator.awaited or self._sketching
 
     # ------------------------------------------------------------------ what the pointer does
 
@@ -148,11 +144,29 @@ class Studio:
             InvalidArgumentError: a stroke that says nothing, once it is done.
         """
         fields = changes.stroke(self.problem, points)
-        if done:
+        if not done:
+            with contextlib.suppress(TorchdsError):  # it has just begun
+                self.imitate(replace(self.problem, **fields))
+                self._sketching = True
+            return
+        try:
             changes.complete(points)
-            return self.change(**fields)
-        with contextlib.suppress(TorchdsError):  # it has just begun
-            self.imitate(replace(self.problem, **fields))
+            self.change(**fields)
+            self._sketching = False
+        finally:
+            self.forget()
+
+    def forget(self) -> None:
+        """A stroke that was begun is none: the system is that of the problem again."""
+        if self._sketching:
+            self._sketching = False
+            self.imitate(self.problem)
+
+    def leave(self, view: View) -> None:
+        """Somebody does not look any more; what the pointer held there is let go."""
+        self.views.remove(view)
+        self.forget()
+        self.pull(None)
 
     def pull(self, at: list[float] | None) -> None:
         """The hand pulls from here, or lets go."""
@@ -191,34 +205,26 @@ class Studio:
             return picture.policy
         return None if self.imitation is None else self.imitation.policy
 
-    @torch.no_grad()
-    def motion(self, policy: GMRPolicy, start: Tensor | None = None, goal: Tensor | None = None) -> Tensor:
-        """`(T+1, 2)` the motion of a policy, as if it began or ended elsewhere."""
-        task = self.task
-        assert task is not None
-        x0, n_steps, dt = task.motion()
-        shift = None if goal is None else goal - task.scene().goal
-        x = rollout(
-            policy,
-            x0 if start is None else start,
-            n_steps,
-            dt,
-            stop=task.stop,
-            plant=task.plant,
-            feedback=task.feedback,
-            shift=shift,
-        ).x
-        return x.reshape(-1, *x.shape[-2:])[0]
+    def settled(self) -> tuple[GMRPolicy, Task]:
+        """What the first side has learned, or else what is imitated, and the task of the problem that it is for.
 
-    def push(self, execution: Execution, stiffness: float, index: int = 0) -> None:
+        Raises:
+            InvalidArgumentError: nothing is drawn, or the system of what is drawn is still to come.
+        """
+        policy, task = self.policy(), self.task
+        if self.imitating and self.fresh(0) is None:
+            raise InvalidArgumentError("the drawing is still being imitated; try again in a moment")
+        if policy is None or task is None:
+            raise InvalidArgumentError("there is no motion yet; draw one first")
+        return policy, task
+
+    def push(self, execution: Execution, stiffness: float) -> None:
         """Put the mass to the start of the motion, to be pulled at.
 
         Raises:
-            InvalidArgumentError: nothing is drawn.
+            InvalidArgumentError: see `settled`.
         """
-        policy, task = self.policy(index), self.task
-        if policy is None or task is None:
-            raise InvalidArgumentError("there is no motion yet; draw one first")
+        policy, task = self.settled()
         x0, n_steps, dt = task.motion()
         self.pushed = Pushed(policy, x0, execution, stiffness, n_steps * dt)
         self.tell("mass")
@@ -231,19 +237,13 @@ class Studio:
         Raises:
             TorchdsError: nothing is drawn, or options that do not fit.
         """
-        for side in self._learning():
-            if side.problem is None or side.stale(self.problem):
-                side.begin(self.problem)
+        for side in self._begun():
             side.go(pace)
-        self.keep()
 
     def step(self) -> None:
         """One update of both sides; as for `go`."""
-        for side in self._learning():
-            if side.problem is None or side.stale(self.problem):
-                side.begin(self.problem)
+        for side in self._begun():
             side.step()
-        self.keep()
 
     def pause(self) -> None:
         """Stop both sides after this update."""
@@ -252,30 +252,30 @@ class Studio:
 
     def reset(self) -> None:
         """Begin anew, paused; the runs before stay in their folders."""
-        for side in self._learning():
-            side.begin(self.problem)
-        self.keep()
-        self.tell("side 0", "side 1")
+        self._begun(anew=True)
 
-    def _learning(self) -> list[Side]:
+    def _begun(self, anew: bool = False) -> list[Side]:
+        """The sides that learn, each with a run of this problem."""
         if not self.problem.strokes:
             raise InvalidArgumentError("nothing is drawn yet; draw a motion first")
-        return self.sides[: len(self.problem.learners)]
+        sides = self.sides[: len(self.problem.learners)]
+        try:
+            for side in sides:
+                if anew or side.problem is None or side.stale(self.problem):
+                    side.begin(self.problem)
+        finally:
+            self.keep()
+            self.tell("side 0", "side 1")
+        return sides
 
     # ------------------------------------------------------------------ time
 
     def tick(self, seconds: float) -> None:
         """Hear what has come, and let the mass move on."""
-        answers = self._imitator.answers()
-        if answers is None:  # it was killed
-            self._imitator.end()
-            self._imitator = Worker(imitate)
-            self.imitate(self.problem)
-        for number, answer in answers or ():
-            if number == self._asked:
-                self.complaint = answer.message if isinstance(answer, Failed) else ""
-                self.imitation = None if isinstance(answer, Failed) else answer
-                self.tell("imitation")
+        if (answer := self._imitator.heard()) is not None:
+            self.complaint = answer.message if isinstance(answer, Failed) else ""
+            self.imitation = None if isinstance(answer, Failed) else answer
+            self.tell("imitation")
         for i, side in enumerate(self.sides):
             if side.heard():
                 self.tell(f"side {i}")
@@ -293,7 +293,7 @@ class Studio:
 
     def end(self) -> None:
         """Let all processes go."""
-        self.keep()
         for side in self.sides:
             side.end()
         self._imitator.end()
+        self.keep()

@@ -29,6 +29,24 @@ def test_a_dot_is_no_motion():
     changes.complete(drawn.stroke())
 
 
+def test_a_long_stroke_is_thinned_to_its_end():
+    points = [(0.001 * i, 1e-5 * i, 0.0) for i in range(12_001)]
+    rows = changed(drawn.problem(), changes.stroke(drawn.problem(), points)).strokes[-1]
+    assert 4000 <= len(rows) <= 5000 and rows[-1] == (12.0, pytest.approx(0.12), 0.0)
+
+
+def test_small_strokes_keep_their_shape():
+    points = [(t, 1e-5 * x1, 1e-5 * x2) for t, x1, x2 in drawn.stroke()]
+    rows = changed(drawn.problem(), changes.stroke(drawn.problem(), points)).strokes[-1]
+    assert [row[1:] for row in rows] == [tuple(point[1:]) for point in points]
+
+
+@pytest.mark.parametrize("kind", ["wall", "region"])
+def test_a_click_is_neither_a_wall_nor_a_region(kind):
+    with pytest.raises(InvalidArgumentError, match="two places"):
+        changes.placed(drawn.problem(), kind, (0.1, 0.2), [0.1, 0.2])
+
+
 def test_recordings_stand_beside_the_drawing_at_their_own_pace():
     x = torch.stack([torch.linspace(0, 1, 6001), torch.zeros(6001)], -1).double()
     after = changed(drawn.problem(), changes.recorded(drawn.problem(), Demonstrations([x], dt=0.001)))

@@ -14,7 +14,7 @@ pytest.importorskip("nicegui")
 
 from tasks.sketch import Problem, Sketch
 from tests import drawn
-from tests.train.view.studio.test_state import Instant, Studio, picture, side, state
+from tests.train.view.studio.test_state import Instant, Studio, imitator, picture, side
 from torchds import load, load_policy
 from torchds.errors import InvalidArgumentError
 from train.learning.learner import Learner
@@ -26,7 +26,7 @@ from train.view.studio.learning import Picture
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(state, "Worker", Instant)
+        patch.setattr(imitator, "Worker", Instant)
         patch.setattr(side, "Worker", Instant)
         studio = Studio(tmp_path_factory.mktemp("logs") / "studio")
         studio.put(drawn.problem())
@@ -61,6 +61,21 @@ def test_the_script_gives_the_policy_that_was_learned(tmp_path, studio):
     studio.problem.write(path)
     direct = Learner(options_class(str(path))()).learn()
     torch.testing.assert_close(saved.pack(), direct.policy.pack(), rtol=0, atol=0)
+
+
+def test_a_script_keeps_its_problem_whatever_it_is_called(studio):
+    before = studio.problem
+    studio.change(name="State")
+    kept = (studio.folder / "state.json").read_text()
+    first = keeping.program(studio)
+    assert (studio.folder / "state.json").read_text() == kept
+    assert keeping.program(studio) == first  # the same problem, the same file
+    named = studio.problem
+    studio.change(via_points=[])
+    assert keeping.program(studio) != first
+    assert Problem.read(studio.folder / "problems" / "state.json") == named
+    studio.put(before)
+    studio.tick(0.02)
 
 
 def test_without_a_drawing_there_is_nothing_to_take(studio):
@@ -106,6 +121,12 @@ def test_costs_that_have_no_logarithm_leave_a_gap(studio):
 
 def test_numbers_that_are_none_do_not_reach_the_page():
     assert showing.plain(torch.tensor([float("nan"), 1.23456789])) == [0.0, 1.2346]
+
+
+def test_small_worlds_are_shown_as_exactly_as_large_ones():
+    x = torch.tensor([1.23456789e-3], dtype=torch.float64)
+    assert showing.plain(x, (-0.001, 0.001, -0.001, 0.001)) == [0.0012346]
+    assert showing.plain(1e6 * x, (-1000.0, 1000.0, -1000.0, 1000.0)) == [1234.6]
 
 
 def test_the_mass_is_shown_with_what_pulls_it(studio):

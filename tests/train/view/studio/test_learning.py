@@ -51,7 +51,7 @@ def test_it_learns_what_the_learner_learns_step_by_step_and_with_interruptions(t
     options = begun(tmp_path)
     direct = Learner(options).learn()
     pictures = served(tmp_path, ("step", None), ("step", None))
-    assert [picture.done for picture in pictures] == [0, 1, 2] and not any(picture.running for picture in pictures)
+    assert [picture.done for picture in pictures] == [0, 1, 2]
     more = served(tmp_path, ("go", 1e9, 10), ("pause", None))  # another process goes on
     assert more[0].done == 2 and more[-1].done == 4 == more[-1].of
     torch.testing.assert_close(more[-1].policies.pack(), direct.policy.pack(), rtol=0, atol=0)

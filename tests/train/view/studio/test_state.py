@@ -1,6 +1,6 @@
 """The state of the page: changes, undo, what is kept, and what the pointer and time do; workers that answer at once."""
 
-import time
+import shutil
 from typing import ClassVar
 
 import pytest
@@ -9,7 +9,7 @@ import torch
 from tasks.sketch import Problem, Sketch, examples
 from tests import drawn
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.view.studio import side, state
+from train.view.studio import imitator, side
 from train.view.studio.imitating import imitated
 from train.view.studio.learning import Picture
 from train.view.studio.state import Studio
@@ -50,7 +50,7 @@ class Looking:
 @pytest.fixture
 def studio(tmp_path, monkeypatch):
     Instant.made.clear()
-    monkeypatch.setattr(state, "Worker", Instant)
+    monkeypatch.setattr(imitator, "Worker", Instant)
     monkeypatch.setattr(side, "Worker", Instant)
     studio = Studio(tmp_path / "studio")
     studio.put(drawn.problem())
@@ -58,10 +58,18 @@ def studio(tmp_path, monkeypatch):
     return studio
 
 
-def picture(studio, running=True):
+def words(studio):
+    """What stands below the table."""
+    pytest.importorskip("nicegui")
+    from train.view.studio.panels import said as line
+
+    return line(studio)
+
+
+def picture(studio):
     policy = studio.imitation.policy.expand(2)
     x = studio.imitation.motion.float().expand(2, -1, -1)
-    return Picture(3, 4, [0, 6, 12, 18], {"total": [4.0, 3.0, 2.0, 1.0]}, [x], x, policy, 1, running)
+    return Picture(3, 4, [0, 6, 12, 18], {"total": [4.0, 3.0, 2.0, 1.0]}, [x], x, policy, 1)
 
 
 def test_it_begins_with_an_example_and_imitates_what_is_drawn(tmp_path, studio):
@@ -137,16 +145,18 @@ def test_what_cannot_be_fitted_is_said_and_an_answer_of_yesterday_is_not_taken(s
     assert studio.complaint or studio.imitation
     studio.change(**{name: getattr(drawn.problem(), name) for name in ("strokes", "samples", "components")})
     Instant.made[0].out.insert(0, (1, Failed("of an earlier drawing")))
+    assert studio.imitating
     studio.tick(0.02)
     assert studio.complaint == "" and studio.imitation is not None
 
 
 def test_an_imitator_that_dies_is_made_anew(studio):
-    Instant.made[0].dead = True
     before = studio.imitation
+    studio.change(components=2)
+    Instant.made[0].dead, Instant.made[0].out = True, []
     studio.tick(0.02)
     studio.tick(0.02)
-    assert studio.imitation is not before and studio.imitation is not None and len(Instant.made) == 2
+    assert studio.imitation is not before and studio.imitation.policy.n_components == 2 and len(Instant.made) == 2
 
 
 def test_everybody_who_looks_hears_of_changes(studio):
@@ -213,28 +223,6 @@ def test_nothing_drawn_is_nothing_to_learn_or_to_push(studio):
             call()
 
 
-def test_motions_begin_and_end_where_they_are_dragged_to(studio):
-    policy = studio.imitation.policy
-    x = studio.motion(policy)
-    torch.testing.assert_close(x, studio.imitation.motion)
-    start = torch.tensor([0.2, 0.5], dtype=torch.float64)
-    assert studio.motion(policy, start=start)[0].equal(start)
-    goal = studio.task.scene().goal
-    moved = studio.motion(policy, start=x[0] + 0.25, goal=goal + 0.25)
-    torch.testing.assert_close(moved, x + 0.25, rtol=0, atol=1e-9)
-
-
-def test_a_start_is_dragged_within_a_picture(studio):
-    policy, start = studio.imitation.policy, torch.tensor([0.2, 0.5], dtype=torch.float64)
-    studio.motion(policy, start=start)
-    seconds = []
-    for _ in range(9):
-        began = time.thread_time()
-        studio.motion(policy, start=start)
-        seconds.append(time.thread_time() - began)
-    assert min(seconds) < 1 / 60
-
-
 def test_the_mass_is_pulled_and_let_go(studio):
     studio.push("closed", 100.0)
     studio.pull([0.9, 0.9])
@@ -253,3 +241,127 @@ def test_the_mass_is_pulled_and_let_go(studio):
     studio.pull([0.0, 0.0])
     studio.nudge((0, 1))
     assert studio.pushed is None
+
+
+def test_undo_keeps_every_other_step_beside_those_of_a_slider(studio):
+    studio.adjust(components=5)
+    studio.change(via_points=[])
+    studio.adjust(components=6)  # another step: something else was between
+    studio.undo()
+    assert studio.problem == drawn.problem(components=5, via_points=[])
+    studio.undo()
+    assert studio.problem == drawn.problem(components=5)
+    studio.adjust(components=5)  # no change at all
+    studio.undo()
+    assert studio.problem == drawn.problem()
+    studio.adjust(components=7)
+    studio.undo()
+    studio.adjust(components=8)
+    studio.undo()
+    assert studio.problem == drawn.problem()
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_a_stroke_that_is_given_up_leaves_the_system_of_the_problem(studio, leaves):
+    before, view = studio.imitation.policy.pack(), Looking()
+    studio.views.append(view)
+    studio.draw([(t, x1, x2 + 1) for t, x1, x2 in drawn.stroke()], False)
+    studio.tick(0.02)
+    assert not studio.imitation.policy.pack().equal(before) and studio.imitating
+    if leaves:
+        studio.leave(view)
+    else:
+        with pytest.raises(InvalidArgumentError, match="too short"):
+            studio.draw([(5.0, 0.1, 0.1)], True)
+    studio.tick(0.02)
+    assert studio.imitation.policy.pack().equal(before) and not studio.imitating
+    assert studio.problem == drawn.problem()
+
+
+def test_a_window_that_is_closed_lets_the_mass_go(studio):
+    view = Looking()
+    studio.views.append(view)
+    studio.push("closed", 100.0)
+    studio.pull([0.9, 0.9])
+    studio.leave(view)
+    assert studio.pushed.hand is None and studio.views == []
+
+
+def test_a_system_of_an_earlier_drawing_is_not_given_away(studio):
+    studio.change(components=2)
+    assert studio.imitating
+    with pytest.raises(InvalidArgumentError, match="still being imitated"):
+        studio.settled()
+    studio.tick(0.02)
+    assert studio.settled()[0].n_components == 2
+
+
+def test_another_name_keeps_what_is_learned(studio):
+    studio.go(30.0)
+    Instant.made[1].out.append(picture(studio))
+    studio.tick(0.02)
+    studio.change(name="Another name")
+    assert studio.fresh(0) is not None and Instant.made[1].told == [("go", 30.0)]
+
+
+def test_a_changed_problem_stops_a_learner_that_has_said_nothing_yet(studio):
+    studio.go(30.0)
+    studio.change(via_points=[])
+    assert Instant.made[1].told == [("go", 30.0), ("pause", None)]
+    studio.change(via_points=[[0.1, 0.1]])
+    assert len(Instant.made[1].told) == 2
+
+
+def test_a_second_learner_that_is_switched_off_ends_and_comes_back(tmp_path, studio):
+    one = studio.problem.learners
+    studio.change(learners=[*one, {"optimizer": "adam", "updates": 5}])
+    studio.go(30.0)
+    Instant.made[2].out.append(picture(studio))
+    studio.tick(0.02)
+    studio.change(learners=one)
+    assert Instant.made[2].dead and not Instant.made[1].dead and "B" not in words(studio)
+    n = len(Instant.made)
+    Studio(tmp_path / "studio")
+    assert len(Instant.made) == n + 2  # one that imitates, one that learns
+    studio.undo()
+    assert studio.fresh(1) is not None
+    studio.go(30.0)
+    assert Instant.made[-1].arguments == Instant.made[2].arguments and Instant.made[-1].told == [("go", 30.0)]
+
+
+@pytest.mark.parametrize("learner", [{"seed": "abc"}, {"seed": None}, {"rollouts": 0}, {"optimizer": "newton"}])
+def test_options_that_do_not_fit_leave_the_run_before_as_it_is(tmp_path, studio, learner):
+    studio.go(30.0)
+    Instant.made[1].out.append(picture(studio))
+    studio.tick(0.02)
+    folder, folders = studio.sides[0].folder, sorted(tmp_path.rglob("problem.json"))
+    studio.change(learners=[learner])
+    with pytest.raises((InvalidArgumentError, UnknownNameError)):
+        studio.go(30.0)
+    assert studio.sides[0].folder == folder and sorted(tmp_path.rglob("problem.json")) == folders
+    studio.undo()
+    assert studio.fresh(0) is not None
+
+
+def test_when_all_updates_are_made_it_is_said(studio):
+    studio.go(30.0)
+    Instant.made[1].out.append(picture(studio)._replace(done=4))
+    studio.tick(0.02)
+    assert "all updates are made" in words(studio)
+
+
+def test_a_run_whose_folder_is_gone_begins_anew(tmp_path, studio):
+    studio.go(30.0)
+    shutil.rmtree(studio.sides[0].folder)
+    again = Studio(tmp_path / "studio")
+    assert again.problem == studio.problem and again.sides[0].folder is None
+    again.go(30.0)
+    assert again.sides[0].folder.is_dir()
+
+
+@pytest.mark.parametrize(
+    "name, stem",
+    [("An S!", "an_s"), ("Übung für Zoë", "ubung_fur_zoe"), ("日本", "drawing"), ("../../etc", "etc"), ("", "drawing")],
+)
+def test_any_name_is_one_of_a_file(name, stem):
+    assert side.stem(drawn.problem(name=name)) == stem
