@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from tasks.sketch import Problem
+from tasks.sketch.problem import MOST_BYTES
 from torchds import Demonstrations, load, load_lasa
+from torchds.errors import InvalidArgumentError, TorchdsError
 from torchds.files import write_atomically
 from torchds.recordings.lasa import lasa_names
-from train.view.studio import changes
-from train.view.studio.controls import Place, bind, note, number, select, slider, switch, weight
+from train.view.studio import changes, places
+from train.view.studio.controls import bind, note, number, select, slider, switch, weight
 from train.view.studio.nice import events, ui
 from train.view.studio.window import Window
 
@@ -26,7 +27,6 @@ WEIGHTS = {
     "regions": "forbidden regions",
     "stiffness": "stiffness",
 }
-MIDDLE = (0.0, 0.0)
 
 
 def drawing(window: Window) -> None:
@@ -71,18 +71,35 @@ def file(window: Window, label: str, endings: str) -> None:
     """A place for files of recordings, or of a problem."""
 
     async def taken(event: events.UploadEventArguments) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / Path(event.file.name).name
-            content = await event.file.read()
-            write_atomically(path, lambda stream: stream.write(content))
-            if path.suffix == ".json":
-                window.attempt(lambda: window.studio.put(Problem.read(path)))
-            else:
-                window.attempt(lambda: add(window, load(path)))
+        content = await event.file.read()
+        window.attempt(lambda: bring(window, event.file.name, content))
         element.reset()
 
-    element = ui.upload(label=label, auto_upload=True, on_upload=taken).style("width: 100%; max-height: 6rem")
+    def refused() -> None:
+        ui.notify(f"a file has to be one of {endings}, of at most {MOST_BYTES // 10**6} MB", type="negative")
+
+    element = ui.upload(
+        label=label, auto_upload=True, on_upload=taken, on_rejected=refused, max_file_size=MOST_BYTES
+    ).style("width: 100%; max-height: 6rem")
     element.props(f'flat bordered dense accept="{endings}"')
+
+
+def bring(window: Window, name: str, content: bytes) -> None:
+    """A problem in place of this one, or recorded motions beside what is drawn.
+
+    Raises:
+        TorchdsError: neither is in the file; the message has its name.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"file{Path(name).suffix.lower()}"  # names of files elsewhere may be none here
+        try:
+            write_atomically(path, lambda stream: stream.write(content))
+            if path.suffix == ".json":
+                window.studio.put(Problem.read(path))
+            else:
+                add(window, load(path))
+        except TorchdsError as error:
+            raise InvalidArgumentError(str(error).replace(str(path), name)) from error
 
 
 def imitating(window: Window) -> None:
@@ -95,47 +112,16 @@ def imitating(window: Window) -> None:
     )
     certificate = ui.label().props("role=status").style("font-weight: 600")
     note("Drag the start, the goal or via-points with the second tool above the table, or type where they are:")
-    column = ui.column().style("gap: 2px; width: 100%")
-    shown: dict[str, Any] = {"n": None, "pairs": []}
+    places.ends(window)
+    places.things(window, "via")
 
     def tell() -> None:
         known = studio.imitation
         certificate.set_text(
             "" if known is None else f"certificate: {known.verdict}, rate of convergence {known.margin:.3g} /s"
         )
-        if (n := len(studio.problem.via_points)) != shown["n"]:
-            for element in shown["pairs"]:
-                del window.controls[element]
-            column.clear()
-            with column:
-                shown.update(n=n, pairs=places(window, n))
-            window.fill()
 
     window.tellers.append(tell)
-
-
-def places(window: Window, n: int) -> list[Any]:
-    """A pair of numbers for the start, the goal, and each of the `n` via-points; the elements."""
-    names: dict[str, Place] = {"start": ("start",), "goal": ("goal",)}
-    names |= {f"via-point {i + 1}": ("via_points", i) for i in range(n)}
-    pairs = []
-    for name, place in names.items():
-        with ui.element("div").classes("studio-row"):
-            pairs += [number(window, f"{name}, x{axis + 1}", (*place, axis), step=0.01) for axis in range(2)]
-            if len(place) > 1:
-                remove(window, name, int(place[1]))
-    ui.button(
-        "Add a via-point",
-        on_click=lambda: window.change(**changes.placed(window.studio.problem, "via", MIDDLE, MIDDLE)),
-    )
-    return pairs
-
-
-def remove(window: Window, name: str, index: int) -> None:
-    """A button that removes a via-point."""
-    studio = window.studio
-    button = ui.button(icon="delete", on_click=lambda: window.change(**changes.erased(studio.problem, "via", index)))
-    button.props(f'flat dense aria-label="remove {name}"')
 
 
 def asking(window: Window) -> None:
@@ -143,6 +129,8 @@ def asking(window: Window) -> None:
     note("Click via-points, walls and forbidden regions into the table; say here how much each counts.")
     for name, label in WEIGHTS.items():
         weight(window, label, ("weights", name))
+    for kind in ("walls", "regions"):
+        places.things(window, kind)
     switch(window, "a point mass follows the motion", ("body",), {}, None)
     with ui.column().style("gap: 6px; width: 100%") as body:
         slider(window, "stiffness [N/m]", ("body", "stiffness"), 1, 2000, 1)

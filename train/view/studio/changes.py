@@ -61,8 +61,8 @@ def placed(problem: Problem, kind: str, begin: Point, end: Point) -> Fields:
     if kind == "via":
         return {"via_points": [*problem.via_points, end]}
     if tuple(begin) == tuple(end):
-        raise InvalidArgumentError(f"a {kind} needs two places: press at one, move, and let go at the other")
-    if kind == "wall":
+        raise InvalidArgumentError("that needs two places: press at one, move, and let go at the other")
+    if kind == "walls":
         return {"walls": [*problem.walls, [begin, end]]}
     return {"regions": [*problem.regions, {"center": begin, "radius": math.dist(begin, end)}]}
 

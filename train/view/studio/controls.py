@@ -46,6 +46,7 @@ def bind(
     *,
     into: Callable[[Any], Any] = lambda value: value,
     out: Callable[[Any], Any] = lambda value: value,
+    clears: bool = False,
 ) -> Any:
     """Let an element show what stands at a place, and put there what it is changed to.
 
@@ -56,12 +57,14 @@ def bind(
         usual: what is shown where nothing stands there.
         into: from the value there to that of the element.
         out: and back.
+        clears: whether an empty element means that nothing stands there; else it is one in which somebody still types.
     """
 
     def changed(event: events.ValueChangeEventArguments[Any]) -> None:
-        if window.filling or event.value is None:
+        if window.filling or (event.value is None and not clears):
             return
-        values = replaced(window.studio.problem.to_json(), place, out(event.value))
+        value = None if event.value is None else out(event.value)
+        values = replaced(window.studio.problem.to_json(), place, value)
         window.attempt(lambda: window.studio.adjust(**{str(place[0]): values[place[0]]}))
         window.news("problem")  # what was refused is shown as it still is
 
@@ -102,14 +105,22 @@ def position(weight: float) -> float:
 
 
 def number(window: Window, label: str, place: Place, usual: Any = None, *, whole: bool = False, **options: Any) -> Any:
-    """A number that is typed, and asked for once nothing more is typed."""
+    """A number that is typed, and asked for once nothing more is typed; one with a placeholder can be left empty."""
     element = ui.number(label=label, **options).props("dense debounce=400").style("width: 6.4rem")
-    return bind(window, element, place, usual, out=int if whole else float)
+    return bind(window, element, place, usual, out=rounded if whole else float, clears="placeholder" in options)
 
 
-def select(window: Window, label: str, place: Place, options: Mapping[str, str], usual: Any = None) -> None:
+def rounded(value: float) -> float:
+    """A whole number where it is one; the problem says what is wrong with others."""
+    return int(value) if math.isfinite(value) and value == int(value) else value
+
+
+def select(
+    window: Window, label: str, place: Place, options: Mapping[str, str], usual: Any = None, **ways: Any
+) -> None:
     """One of several names."""
-    bind(window, ui.select(dict(options), label=label).props("dense options-dense").style("width: 100%"), place, usual)
+    element = ui.select(dict(options), label=label).props("dense options-dense").style("width: 100%")
+    bind(window, element, place, usual, **ways)
 
 
 def switch(window: Window, label: str, place: Place, on: Any, off: Any) -> None:

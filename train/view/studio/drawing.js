@@ -82,8 +82,8 @@ export default {
       const to = this.at(event), tool = pointer.tool; // it may be another one by now
       if (tool === "draw") this.$emit("stroke", { points: pointer.points, done: true });
       if (tool === "via") this.$emit("place", { kind: "via", from: to, to });
-      if (tool === "wall") this.$emit("place", { kind: "wall", from: pointer.from, to });
-      if (tool === "region") this.$emit("place", { kind: "region", from: pointer.from, to });
+      if (tool === "wall") this.$emit("place", { kind: "walls", from: pointer.from, to });
+      if (tool === "region") this.$emit("place", { kind: "regions", from: pointer.from, to });
       if (tool === "move" && pointer.held) this.$emit("drag", { ...pointer.held, at: to, done: true });
       if (tool === "pull") this.$emit("pull", { at: null });
       this.ask();

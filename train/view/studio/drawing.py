@@ -15,7 +15,7 @@ class Drawing(Element, component="drawing.js"):
     """Shows layers, and says what the pointer does.
 
     Events, each with a dict: `ready`, the table is there, or has another `width` and `height`. `stroke`, of `points`
-    `[t, x, y]` so far, `done` at its end. `place`, of a `kind` (via, wall, region), `from` here `to` there. `drag`, of the
+    `[t, x, y]` so far, `done` at its end. `place`, of a `kind` (via, walls, regions), `from` here `to` there. `drag`, of the
     start, the goal or a via-point by `kind` and `index`, `at` a point, `done` at the end. `erase`, of the thing by `kind` and
     `index`. `pull`, `at` a point, or None when it is let go.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -33,4 +34,5 @@ def read(folder: Path) -> tuple[Problem, list[Path | None]] | None:
         return Problem.from_json(said["problem"]), [None if run is None else Path(run) for run in said["runs"]]
     except (OSError, ValueError, KeyError, TypeError, TorchdsError):
         path.replace(folder / UNREAD)
+        print(f"note: {path} could not be read; it is {folder / UNREAD} now", file=sys.stderr)
         return None

@@ -170,7 +170,7 @@ class View(Window):
             button.props(f"aria-pressed={'true' if name == tool else 'false'}")
             button.props(remove="flat") if name == tool else button.props("flat")
         if tool == "pull" and self.studio.pushed is None:
-            self.attempt(lambda: self.studio.push("open", 200.0))
+            self.push()
 
     def chart(self) -> None:
         """Learning curves by term."""

@@ -61,6 +61,7 @@ def learning(window: Window) -> None:
     with ui.element("div").classes("studio-row").style("flex-wrap: nowrap"):
         ui.label("updates a second").style(LABEL)
         pace = ui.slider(min=1, max=FASTEST, step=1, value=25).props('aria-label="updates a second"')
+        pace.on("change", lambda: hurry(studio, float(pace.value or 1)))
         ui.label().bind_text_from(pace, "value", lambda n: f"{n:.0f}").style(VALUE)
     learner(window, 0)
     second = ui.switch("compare with a second learner")
@@ -76,12 +77,25 @@ def learning(window: Window) -> None:
     window.tellers.append(lambda: column.set_visibility(len(studio.problem.learners) > 1))
 
 
+def hurry(studio: Studio, pace: float) -> None:
+    """Another pace for those who learn already."""
+    for side in studio.sides:
+        if side.running:
+            side.go(pace)
+
+
 def learner(window: Window, index: int) -> None:
     """The options of a learner."""
     place: Place = ("learners", index)
     ui.label(f"Learner {'AB'[index]}").style("font-weight: 600")
     select(window, "optimizer", (*place, "optimizer"), OPTIMIZERS, "pibb")
-    select(window, "exploration", (*place, "exploration"), EXPLORATIONS, "homogeneous")
+    select(
+        window,
+        "exploration",
+        (*place, "exploration"),
+        EXPLORATIONS,
+        into=lambda name: name or ("homogeneous" if window.studio.problem.condition == "none" else "stable"),
+    )
     with ui.element("div").classes("studio-row"):
         for name, (label, usual) in NUMBERS.items():
             number(window, label, (*place, name), usual, whole=True, min=0, precision=0)
@@ -103,6 +117,7 @@ def pushing(window: Window) -> None:
     def begin() -> None:
         window.attempt(lambda: studio.push(execution.value, float(stiffness.value or 0)))
 
+    window.push = begin
     execution.on_value_change(begin)
     stiffness.on("change", begin)
     with ui.element("div").classes("studio-row"):

@@ -21,6 +21,7 @@ class Window:
         controls: what each control shows of the problem's file.
         tellers: that say in words how things are.
         filling: whether the controls are being filled, and ask for nothing.
+        push: puts the mass to the start, with the settings of this window.
     """
 
     def __init__(self, studio: Studio) -> None:
@@ -29,6 +30,7 @@ class Window:
         self.controls: dict[Any, Callable[[dict[str, Any]], Any]] = {}
         self.tellers: list[Callable[[], object]] = []
         self.filling = False
+        self.push: Callable[[], object] = lambda: None
 
     def news(self, what: str) -> None:
         """Something to be shown with the next picture; with another problem, everything."""

@@ -41,7 +41,7 @@ def test_small_strokes_keep_their_shape():
     assert [row[1:] for row in rows] == [tuple(point[1:]) for point in points]
 
 
-@pytest.mark.parametrize("kind", ["wall", "region"])
+@pytest.mark.parametrize("kind", ["walls", "regions"])
 def test_a_click_is_neither_a_wall_nor_a_region(kind):
     with pytest.raises(InvalidArgumentError, match="two places"):
         changes.placed(drawn.problem(), kind, (0.1, 0.2), [0.1, 0.2])
@@ -67,8 +67,8 @@ def test_a_motion_in_space_is_refused():
 def test_places_come_move_and_go():
     p = drawn.problem()
     p = changed(p, changes.placed(p, "via", (0, 0), (0.5, 0.25)))
-    p = changed(p, changes.placed(p, "wall", (0, 0), (0.5, 0.5)))
-    p = changed(p, changes.placed(p, "region", (0.1, 0.1), (0.4, 0.5)))
+    p = changed(p, changes.placed(p, "walls", (0, 0), (0.5, 0.5)))
+    p = changed(p, changes.placed(p, "regions", (0.1, 0.1), (0.4, 0.5)))
     assert p.via_points[1] == (0.5, 0.25) and p.walls == (((0, 0), (0.5, 0.5)),)
     assert p.regions[0]["radius"] == pytest.approx(0.5)
     p = changed(p, changes.dragged(p, "via", 0, (0.9, -0.9)))

@@ -15,10 +15,11 @@ def test_what_is_kept_is_found(tmp_path):
 
 
 @pytest.mark.parametrize("damaged", ["", "{", "[]", "{}", '{"problem": {}, "runs": []}', '{"problem": 3}', "\x00\xff"])
-def test_what_cannot_be_read_is_put_aside_and_not_lost(tmp_path, damaged):
+def test_what_cannot_be_read_is_put_aside_and_not_lost(tmp_path, capsys, damaged):
     (tmp_path / kept.STATE).write_text(damaged, encoding="latin-1")
     assert kept.read(tmp_path) is None and not (tmp_path / kept.STATE).exists()
     assert (tmp_path / kept.UNREAD).read_text(encoding="latin-1") == damaged
+    assert str(tmp_path / kept.UNREAD) in capsys.readouterr().err
 
 
 def test_it_is_plain_json(tmp_path):

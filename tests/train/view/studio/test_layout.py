@@ -334,6 +334,15 @@ def test_it_can_be_used_with_the_keyboard_and_read_by_everybody(server, size):
         page.run(f"document.querySelector('[aria-label=\"remove via-point {n + 1}\"]').focus()")
         page.press(" ")
         page.until(f"getElement({page.table()}).layers.via.length === {n}")
+        page.press_button("Ask")
+        time.sleep(0.5)
+        n = len(page.shown("walls"))
+        page.run("[...document.querySelectorAll('button')].find(e => /add a wall/i.test(e.innerText)).focus()")
+        page.press("\ue007")
+        page.type(f"wall {n + 1}, to x1", 0.55)
+        page.until(f"getElement({page.table()}).layers.walls[{n}]?.[1][0] === 0.55")
+        page.press_button(f"remove wall {n + 1}")
+        page.until(f"getElement({page.table()}).layers.walls.length === {n}")
 
 
 SEEN = "e.offsetParent && getComputedStyle(e).visibility !== 'hidden'"
