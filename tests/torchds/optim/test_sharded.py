@@ -105,11 +105,14 @@ def test_what_goes_wrong_in_one_process_is_said_in_all():
 
 def test_a_process_that_hangs_is_not_waited_for_longer_than_was_said():
     def work(rank):
-        dist.init_process_group("gloo", timeout=datetime.timedelta(seconds=0.5))
+        dist.init_process_group("gloo", timeout=datetime.timedelta(seconds=60))
+        dist.barrier()  # they have met, which may take its time
+        dist.distributed_c10d._set_pg_timeout(datetime.timedelta(seconds=0.5), dist.group.WORLD)
         if rank == 0:
-            assert "ProcessLostError" in in_vain(rank, 0, 1)
+            began = time.monotonic()
+            assert "ProcessLostError" in in_vain(rank, 0, 1) and time.monotonic() - began < 2.5
         else:
-            time.sleep(1.5)
+            time.sleep(3.0)
         os._exit(0)
 
     for code, said in forked(2, work):
