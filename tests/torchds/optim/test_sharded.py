@@ -1,6 +1,7 @@
 """Roll-outs shared out over real processes: the step of one process, bit for bit, and what goes wrong in one of them."""
 
 import datetime
+import importlib
 import os
 import time
 
@@ -104,6 +105,8 @@ def test_what_goes_wrong_in_one_process_is_said_in_all():
 
 
 def test_a_process_that_hangs_is_not_waited_for_longer_than_was_said():
+    importlib.import_module("torch._dynamo")  # which the first optimizer does, for seconds
+
     def work(rank):
         dist.init_process_group("gloo", timeout=datetime.timedelta(seconds=60))
         dist.barrier()  # they have met, which may take its time
