@@ -18,6 +18,7 @@ from train.view.studio.window import Window
 
 PICTURES = 30.0  # a second, at most
 CURVES = 0.3  # s between two pictures of the learning curves, at least
+WORDS = 1.0  # s between two sentences about who learns, at least: they are read aloud to some
 TOOLS = {
     "draw": ("draw", "Draw a demonstration with mouse, pen or touch"),
     "move": ("open_with", "Drag the start, the goal or a via-point"),
@@ -39,6 +40,7 @@ STYLE = """
 .studio-right .q-tab { padding: 0 9px; min-width: 0 }
 .studio-note { font-size: 13px; color: #41505f }
 .studio-bad { color: #a32015 }
+.studio :focus-visible { outline: 2px solid #1f5fa8 !important; outline-offset: 1px }
 @media (max-width: 1000px) {
   .studio { grid-template-columns: minmax(0, 1fr); height: auto }
   .studio-tables { height: 30rem }
@@ -95,7 +97,7 @@ class View(Window):
             with ui.element("section").classes("studio-right").props('aria-label="settings"'):
                 panels.build(self)
         studio.views.append(self)
-        ui.context.client.on_delete(lambda: studio.leave(self))
+        ui.context.client.on_delete(self.leave)
         ui.timer(1 / PICTURES, self.draw)
         self.news("problem")
 
@@ -112,6 +114,7 @@ class View(Window):
 
     def on_stroke(self, said: dict[str, Any]) -> None:
         """A demonstration, or its beginning."""
+        self.given_up = None if said["done"] else self.studio.forget
         self.studio.draw(said["points"], said["done"])
 
     def on_place(self, said: dict[str, Any]) -> None:
@@ -132,6 +135,7 @@ class View(Window):
 
     def on_pull(self, said: dict[str, Any]) -> None:
         """The hand at the mass."""
+        self.given_up = None if said["at"] is None else lambda: self.studio.pull(None)
         self.studio.pull(said["at"])
 
     # ------------------------------------------------------------------ what is shown
@@ -199,6 +203,7 @@ class View(Window):
             .props('role=img aria-label="learning curves by cost term"')
         )
         self.charted, self.old = 0.0, False
+        self.told, self.unsaid = 0.0, False
 
     def draw(self) -> None:
         """Show what has changed since the last picture."""
@@ -222,9 +227,12 @@ class View(Window):
             self.charted, self.old = time.monotonic(), False
             self.curves.run_chart_method("setOption", {"series": showing.series(studio)}, {"replaceMerge": ["series"]})
         if waiting:
-            self.line.set_text(panels.said(studio))
             for tell in self.tellers:
                 tell()
+        self.unsaid = self.unsaid or bool(waiting)
+        if self.unsaid and (time.monotonic() - self.told > WORDS or not any(side.running for side in studio.sides)):
+            self.told, self.unsaid = time.monotonic(), False
+            self.line.set_text(panels.said(studio))
 
     def moved(self, kind: str, index: int, at: list[float]) -> dict[str, Any]:
         """The layers while something is dragged: the motions begin or end elsewhere."""

@@ -126,7 +126,7 @@ def pushing(window: Window) -> None:
     with ui.element("div").classes("studio-row"):
         for name, direction in {"←": (-1, 0), "→": (1, 0), "↑": (0, 1), "↓": (0, -1)}.items():
             nudge(window, name, direction)
-    applied = ui.label().props("role=status")
+    applied = ui.label()  # it changes all the time: nothing to be read aloud
 
     def tell() -> None:
         mass = studio.pushed

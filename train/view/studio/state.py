@@ -162,12 +162,6 @@ class Studio:
             self._sketching = False
             self.imitate(self.problem)
 
-    def leave(self, view: View) -> None:
-        """Somebody does not look any more; what the pointer held there is let go."""
-        self.views.remove(view)
-        self.forget()
-        self.pull(None)
-
     def pull(self, at: list[float] | None) -> None:
         """The hand pulls from here, or lets go."""
         if self.pushed is not None:

@@ -21,6 +21,7 @@ class Window:
         controls: what each control shows of the problem's file.
         tellers: that say in words how things are.
         filling: whether the controls are being filled, and ask for nothing.
+        given_up: what follows if the window is closed before the pointer is let go; None where it holds nothing.
         push: puts the mass to the start, with the settings of this window.
     """
 
@@ -30,11 +31,18 @@ class Window:
         self.controls: dict[Any, Callable[[dict[str, Any]], Any]] = {}
         self.tellers: list[Callable[[], object]] = []
         self.filling = False
+        self.given_up: Callable[[], object] | None = None
         self.push: Callable[[], object] = lambda: None
 
     def news(self, what: str) -> None:
         """Something to be shown with the next picture; with another problem, everything."""
         self.waiting |= EVERYTHING if what == "problem" else {what}
+
+    def leave(self) -> None:
+        """The window is closed: what its pointer held is let go, that of other windows is not."""
+        self.studio.views.remove(self)
+        if self.given_up is not None:
+            self.given_up()
 
     def attempt(self, call: Callable[[], object]) -> None:
         """Do it, or say why not."""

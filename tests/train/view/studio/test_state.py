@@ -261,30 +261,20 @@ def test_undo_keeps_every_other_step_beside_those_of_a_slider(studio):
     assert studio.problem == drawn.problem()
 
 
-@pytest.mark.parametrize("leaves", [True, False])
-def test_a_stroke_that_is_given_up_leaves_the_system_of_the_problem(studio, leaves):
-    before, view = studio.imitation.policy.pack(), Looking()
-    studio.views.append(view)
+@pytest.mark.parametrize("forgotten", [True, False])
+def test_a_stroke_that_is_given_up_leaves_the_system_of_the_problem(studio, forgotten):
+    before = studio.imitation.policy.pack()
     studio.draw([(t, x1, x2 + 1) for t, x1, x2 in drawn.stroke()], False)
     studio.tick(0.02)
     assert not studio.imitation.policy.pack().equal(before) and studio.imitating
-    if leaves:
-        studio.leave(view)
+    if forgotten:
+        studio.forget()
     else:
         with pytest.raises(InvalidArgumentError, match="too short"):
             studio.draw([(5.0, 0.1, 0.1)], True)
     studio.tick(0.02)
     assert studio.imitation.policy.pack().equal(before) and not studio.imitating
     assert studio.problem == drawn.problem()
-
-
-def test_a_window_that_is_closed_lets_the_mass_go(studio):
-    view = Looking()
-    studio.views.append(view)
-    studio.push("closed", 100.0)
-    studio.pull([0.9, 0.9])
-    studio.leave(view)
-    assert studio.pushed.hand is None and studio.views == []
 
 
 def test_a_system_of_an_earlier_drawing_is_not_given_away(studio):
