@@ -298,7 +298,7 @@ def test_twenty_pictures_a_second_while_it_learns(server, tmp_path):
         page.give("a problem", tmp_path / "long.json")
         page.until(f"getElement({page.table()}).layers.strokes.length === {len(problem.strokes)}")
         page.press_button("Learn")
-        page.until("document.querySelector('input[aria-label=updates]').value === '100000'")
+        page.until("document.querySelector('input[aria-label=updates]')?.value === '100000'")
         page.press_button("Go")
         page.until(f"getElement({page.table()}).layers.trials?.length === 40")
         rates = []
