@@ -42,7 +42,11 @@ class Page(chromium.Browser):
 
     def __enter__(self):
         super().__enter__()
-        self.load()
+        try:
+            self.load()
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def load(self):
