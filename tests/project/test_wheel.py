@@ -188,7 +188,7 @@ def test_tasks_and_commands_import_or_name_the_extra_that_is_missing(run, extras
     digging = {f"tasks.digging.{path.stem}".removesuffix(".__init__"): "digging" for path in sources}
     if extras:  # every command can be chosen; what it needs beside is asked for when it runs
         robot = {"train.hardware.trial": "digging"}
-        page = ("asking", "controls", "drawing", "layout", "nice", "panels", "running", "window")
+        page = ("asking", "controls", "drawing", "layout", "nice", "panels", "places", "running", "window")
         studio = {f"train.view.studio.{name}": "studio" for name in page}
         later = {**robot, **studio, "train.deep_rl.agents": "baselines", "train.view.shapes": "digging"}
     else:

@@ -16,7 +16,7 @@ from train.view.studio.nice import app, ui
 from train.view.studio.state import Studio
 from train.view.studio.window import Window
 
-PICTURES = 30.0  # a second, at most
+LOOKS = 100.0  # a second, for what has come
 CURVES = 0.3  # s between two pictures of the learning curves, at least
 WORDS = 1.0  # s between two sentences about who learns, at least: they are read aloud to some
 TOOLS = {
@@ -62,7 +62,7 @@ def serve(studio: Studio, host: str, port: int, *, show: bool = True) -> None:
         View(studio)
 
     print(f"studio: http://{host}:{port} until Ctrl-C; its state is kept in {studio.folder}", flush=True)
-    app.timer(1 / 50, tick)
+    app.timer(1 / LOOKS, tick)
     ui.run(
         host=host,
         port=port,
@@ -98,7 +98,7 @@ class View(Window):
                 panels.build(self)
         studio.views.append(self)
         ui.context.client.on_delete(self.leave)
-        ui.timer(1 / PICTURES, self.draw)
+        ui.timer(1 / LOOKS, self.draw)
         self.news("problem")
 
     # ------------------------------------------------------------------ what is heard

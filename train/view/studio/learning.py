@@ -17,10 +17,9 @@ from torchds import GMRPolicy, Rollout
 from train.folder import RunFolder
 from train.learning.learner import Learner
 from train.learning.run import check
-from train.statistics import median
 from train.view.studio.worker import Pipe, said
 
-PICTURES = 30.0  # a second, at most
+PICTURES = 40.0  # a second, at most
 POINTS = 60  # of a path in a picture, about
 SAVE_EVERY = 1.0  # s
 
@@ -148,24 +147,24 @@ class Apprentice:
 
     def show(self) -> None:
         """Say where it stands; where it stands still, that is kept too."""
+        self.shown = time.monotonic()
         if not self.pace:
             self.save()
         learner, history = self.learner, self.learner.history
         *trials, last = self.paths
-        curves = {name: [median(values) for values in rows] for name, rows in history.terms.items()}
+        rows = {**history.terms, "total": history.cost}
         self.pipe.send(
             Picture(
                 learner.done,
                 learner.n_updates,
                 list(history.rollouts),
-                {**curves, "total": [median(values) for values in history.cost]},
+                {name: np.median(values, axis=1).tolist() for name, values in rows.items()},
                 [thinned(path.x) for path in trials],
                 thinned(last.x),
                 learner.policy,
                 best(history.cost[-1]),
             )
         )
-        self.shown = time.monotonic()
 
 
 def thinned(x: Tensor) -> Tensor:

@@ -117,6 +117,35 @@ def s_shape(shift=0.0, n=30):
     return [(-0.8 + 1.6 * i / (n - 1), 0.4 * math.sin(2 * math.pi * i / (n - 1)) + shift) for i in range(n)]
 
 
+def stats():
+    """What the system says of each process: parent, and processor time [ticks]; without those that have ended."""
+    found = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            rest = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if rest[0] != "Z":
+            found[int(stat.parent.name)] = int(rest[1]), int(rest[11]) + int(rest[12])
+    return found
+
+
+def family(pid):
+    """A process and all below it."""
+    parents = {child: parent for child, (parent, _) in stats().items()}
+    found = [pid]
+    for each in found:
+        found += [child for child, parent in parents.items() if parent == each]
+    return found
+
+
+def ticks(*pids):
+    """Processor time of these processes and all below them, and of the whole machine [ticks]."""
+    known, own = stats(), {each for pid in pids for each in family(pid)}
+    busy = Path("/proc/stat").read_text().split("\n")[0].split()[1:4]
+    return sum(known[pid][1] for pid in own if pid in known), sum(map(int, busy))
+
+
 class Server:
     def __init__(self, folder):
         self.folder = folder
@@ -146,18 +175,7 @@ class Server:
 
     def children(self):
         """All processes below this one."""
-        below = {}
-        for stat in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                rest = stat.read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if rest[0] != "Z":
-                below.setdefault(int(rest[1]), []).append(int(stat.parent.name))
-        found = [self.process.pid]
-        for pid in found:
-            found += below.get(pid, [])
-        return found[1:]
+        return family(self.process.pid)[1:]
 
     def stop(self, how=signal.SIGINT):
         children = self.children()
@@ -305,14 +323,17 @@ def test_twenty_pictures_a_second_while_it_learns(server, tmp_path):
         page.until("document.querySelector('input[aria-label=updates]')?.value === '100000'")
         page.press_button("Go")
         page.until(f"getElement({page.table()}).layers.trials?.length === 40")
-        rates = []
+        began_with = server.process.pid, page.driver.pid, os.getpid()
+        began, rates = ticks(*began_with), []
         for _ in range(10):
-            n, began = page.run(f"getElement({page.table()}).drawn"), time.monotonic()
+            n, then = page.run(f"getElement({page.table()}).drawn"), time.monotonic()
             time.sleep(1.0)
-            rates.append((page.run(f"getElement({page.table()}).drawn") - n) / (time.monotonic() - began))
+            rates.append((page.run(f"getElement({page.table()}).drawn") - n) / (time.monotonic() - then))
         page.press_button("Pause")
+        own, all_busy = (after - before for before, after in zip(began, ticks(*began_with), strict=True))
         print("pictures a second:", [round(rate, 1) for rate in rates])
-    assert max(rates) >= (20 if os.getloadavg()[0] < 3 else 5), rates
+    others = (all_busy - own) / (10 * os.sysconf("SC_CLK_TCK"))  # cores that were busy with something else
+    assert max(rates) >= (20 if others < 0.2 else 5), (rates, others)
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (820, 1180)])
