@@ -91,7 +91,9 @@ class View(Window):
                             "the table: draw a motion here", {name: self.heard(name) for name in EVENTS}
                         )
                     with ui.element("div") as self.beside:
-                        self.second = Drawing("the second learner", {"ready": self.on_ready}, active=False)
+                        self.second = Drawing(
+                            "the second learner", {"ready": lambda _: self.news("problem")}, active=False
+                        )
                 self.line = ui.label().classes("studio-note").props("role=status")
                 self.chart()
             with ui.element("section").classes("studio-right").props('aria-label="settings"'):

@@ -52,6 +52,10 @@ class Page(chromium.Browser):
     def load(self):
         self.open(self.url)
         self.until("+document.querySelector('canvas')?.dataset.drawn > 1")
+        self.until(
+            f"""(e => (v => Math.abs((v[1] - v[0]) / (v[3] - v[2]) / (e.$el.clientWidth / e.$el.clientHeight) - 1) < 0.02)
+            (e.layers.view))(getElement({self.table()}))"""  # the whole table is used
+        )
 
     def shown(self, layer, table=0):
         """A layer of a table as the page has it."""
