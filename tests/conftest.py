@@ -10,6 +10,7 @@ import torch
 import torchds
 
 HERE = Path(__file__).parent
+WAITING = {"test_layout.py", "test_own_task.py", "test_runs.py", "test_worker.py"}
 UNTRACED, TRACED = (HERE / "tasks", HERE / "train"), HERE / "train" / "hardware"
 
 
@@ -23,6 +24,8 @@ def pytest_collection_modifyitems(items):
     takes twice as long, and those of tasks and commands, which reach hardly a line of torchds that its own tests leave out;
     those of sessions with a robot do.
     """
+    # What waits most for other processes begins first: at the end there would be nothing to do beside it.
+    items.sort(key=lambda item: item.path.name not in WAITING)
     for item in items:
         if any(map(item.path.is_relative_to, UNTRACED)) and not item.path.is_relative_to(TRACED):
             item.add_marker("no_cover")

@@ -44,7 +44,9 @@ CASES = {
     "N, 1000 roll-outs": Case("via_point", {"rollouts": 1000}, 20),
     "N, 10 roll-outs, PI²": Case("via_point", {"rollouts": 10, "optimizer": "pi2"}, 50),
     "divergent field, 10 roll-outs": Case("divergent_field", {"rollouts": 10}, 50),
-    "digging of 3 s, 10 roll-outs": Case("lwr_digging", {"rollouts": 10, "grains": "coarse", "seconds": 3.0}, 1),
+    "digging of 3 s, 10 roll-outs": Case(
+        "lwr_digging", {"rollouts": 10, "grains": "coarse", "seconds": 3.0, "threads": 1}, 3
+    ),
 }
 
 

@@ -229,6 +229,7 @@ def test_a_motion_is_drawn_imitated_learned_pushed_taken_along_and_found_again(s
         page.keep("drawn")
 
         # drag the start: the motion follows before it is let go
+        page.until("document.querySelector('.studio-left').innerText.includes('imitated in')")
         before, start = page.shown("imitated")[0], page.shown("start")
         page.tool("move")
         x, y = page.at(*start)
@@ -329,14 +330,14 @@ def test_twenty_pictures_a_second_while_it_learns(server, tmp_path):
         page.until(f"getElement({page.table()}).layers.trials?.length === 40")
         began_with = server.process.pid, page.driver.pid, os.getpid()
         began, rates = ticks(*began_with), []
-        for _ in range(10):
+        for _ in range(5):
             n, then = page.run(f"getElement({page.table()}).drawn"), time.monotonic()
             time.sleep(1.0)
             rates.append((page.run(f"getElement({page.table()}).drawn") - n) / (time.monotonic() - then))
         page.press_button("Pause")
         own, all_busy = (after - before for before, after in zip(began, ticks(*began_with), strict=True))
         print("pictures a second:", [round(rate, 1) for rate in rates])
-    others = (all_busy - own) / (10 * os.sysconf("SC_CLK_TCK"))  # cores that were busy with something else
+    others = (all_busy - own) / (5 * os.sysconf("SC_CLK_TCK"))  # cores that were busy with something else
     assert max(rates) >= (20 if others < 0.2 else 5), (rates, others)
 
 
