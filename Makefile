@@ -59,9 +59,10 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	touch $@
 
 # The oldest numpy, scipy and scikit-learn that pyproject.toml allows, in front of the packages of the main environment;
-# what tests/project says of files and imports does not depend on them, the examples in docstrings do.
+# what tests/project says of files and imports does not depend on them, the examples in docstrings do; tests/faults calls the
+# same with other numbers.
 oldest: $(VENV)-oldest/.ready
-	$(VENV)-oldest/bin/python -m pytest $(FAST) tests/torchds tests/tasks tests/train tests/faults tests/project/test_names.py
+	$(VENV)-oldest/bin/python -m pytest $(FAST) tests/torchds tests/tasks tests/train tests/project/test_names.py
 
 $(VENV)-oldest/.ready: $(VENV)/.ready
 	rm -rf $(VENV)-oldest
