@@ -72,12 +72,11 @@ class Page(chromium.Browser):
         )
 
     def press_button(self, label):
-        found = self.run(
+        self.until(  # it may not be there yet
             """(() => { const e = [...document.querySelectorAll('button, [role=tab]')].find(e => e.offsetParent &&
             (e.ariaLabel || e.innerText.split('\\n').pop()).trim().toLowerCase() === arguments[0].toLowerCase());
             if (e) e.click(); return !!e })()""".replace("arguments[0]", json.dumps(label))
         )
-        assert found, label
 
     def tool(self, name):
         self.press_button(TOOLS[name][1])
