@@ -15,15 +15,23 @@ from train.paper.measured.digging import (
     TRIALS,
     UNIFORM,
     Experiment,
+    Sample,
     best_uniform,
     history,
     means,
     trials,
 )
-from train.statistics import below, median, summary
+from train.statistics import below, delta, median, summary
 
 COLORS = dict(zip(SEARCHES, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
 MARKERS = dict(zip(SEARCHES, ("x", "P"), strict=True))
+COLUMNS = {  # of the table: what is measured, and its decimals
+    "total cost": ("total", 2),
+    "load [N]": ("gravel/load", 1),
+    "force cost": ("force", 2),
+    "peak force [N]": ("force/peak", 1),
+    "mean stiffness [N/m]": ("stiffness/mean", 0),
+}
 
 
 def figure_15(experiment: Experiment) -> Made:
@@ -93,15 +101,14 @@ def figure_17(experiment: Experiment) -> Made:
     )
     best = best_uniform(recorded)
     lowest = means(recorded, best)["total"]
-    lines = [
-        f"- uniform {s:g} N/m: {sample['total'].mean():.2f} ± {sample['total'].std(ddof=1):.2f}; load "
-        f"{sample['gravel/load'].mean():.1f} N, peak force {sample['force/peak'].mean():.0f} N"
-        for s, sample in zip(UNIFORM, uniform, strict=True)
-    ]
+    rows = [_row(f"uniform, {s:g} N/m", sample) for s, sample in zip(UNIFORM, uniform, strict=True)]
+    lines = []
     for i, (search, start) in enumerate((search, start) for search in SEARCHES for start in STARTS):
-        values = means(recorded, f"{search}-{start:g}").get("total", np.array([]))
-        if not len(values):
+        sample = means(recorded, f"{search}-{start:g}")
+        if not sample:
             continue
+        values = sample["total"]
+        rows.append(_row(f"learned from {start:g} N/m, {search}", sample))
         axes.errorbar(
             start,
             values.mean(),
@@ -115,7 +122,8 @@ def figure_17(experiment: Experiment) -> Made:
         )
         lines.append(
             f"- learned from {start:g} N/m, {search}: {len(values)} run(s), {summary(values)}, against {summary(lowest)} of "
-            f"the best uniform stiffness ({best.removeprefix('uniform-')} N/m), Mann-Whitney p = {below(values, lowest):.1e}"
+            f"the best uniform stiffness ({best.removeprefix('uniform-')} N/m), Mann-Whitney p = {below(values, lowest):.1e}, "
+            f"Cliff's δ = {delta(values, lowest):+.2f}"
         )
     axes.set(
         xlabel="(initial) uniform stiffness s⁰ [N/m]",
@@ -128,10 +136,23 @@ def figure_17(experiment: Experiment) -> Made:
         figure,
         "Total cost of policies learned from the same demonstrations with uniform stiffness, and after 80 roll-outs of "
         f"learning, at the stiffness that each started from. Every policy is tried {TRIALS} times on beds that no learning has "
-        "met; a learned one counts with its mean, as median [quartiles] over runs, and p is one-sided:\n\n"
+        "met. Mean ± standard deviation, of uniform stiffness over trials, of what was learned over runs, each with the mean "
+        "of its trials:\n\n"
+        f"| policy | {' | '.join(COLUMNS)} |\n|{'---|' * (1 + len(COLUMNS))}\n"
+        + "\n".join(rows)
+        + "\n\nTotal costs of runs as median [quartiles], p one-sided:\n\n"
         + "\n".join(lines)
-        + ".",
+        + ("." if lines else "none yet."),
     )
+
+
+def _row(name: str, sample: Sample) -> str:
+    """A line of the table: mean ± standard deviation of each column, where there is more than one value."""
+    cells = [name]
+    for term, n in COLUMNS.values():
+        values = sample[term]
+        cells.append(f"{values.mean():.{n}f}" + (f" ± {values.std(ddof=1):.{n}f}" if len(values) > 1 else ""))
+    return f"| {' | '.join(cells)} |"
 
 
 def _needed(experiment: Experiment, there: bool) -> None:

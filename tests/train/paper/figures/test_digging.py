@@ -1,5 +1,6 @@
 """Figures 16 and 17 of an experiment that never was: what there is of it, and a word where there is none."""
 
+import numpy as np
 import pytest
 
 from torchds.errors import InvalidArgumentError
@@ -19,7 +20,16 @@ def test_learned_policies_stand_beside_uniform_ones_with_a_test_over_runs(dug):
     line, *_ = made.figure.axes[0].get_lines()
     assert line.get_ydata().min() == pytest.approx(2.006) and "mean of 25 trials" in line.get_label()
     assert "- learned from 150 N/m, recommended: 5 run(s), 1.01 [1, 1.01], against 2.01 [2, 2.01]" in made.caption
-    assert made.caption.count("p = 4.0e-03") == 4  # 5 below 5, the least there is
+    assert made.caption.count("p = 4.0e-03, Cliff's δ = -1.00") == 4  # 5 below 5, the least there is
+    totals = np.add.outer(0.003 * np.arange(5), 2 + 0.01 * np.arange(-2, 3))
+    assert (
+        f"| uniform, 250 N/m | {totals.mean():.2f} ± {totals.std(ddof=1):.2f} | 2.5 ± 0.0 | 1.26 ± 0.02 |"
+        in made.caption
+    )
+    assert (
+        "| learned from 150 N/m, recommended | 1.01 ± 0.00 | 4.0 ± 0.0 | 0.81 ± 0.00 | 7.3 ± 0.0 | 222 ± 2 |"
+        in made.caption
+    )
 
 
 @pytest.mark.parametrize("figure", [digging.figure_15, digging.figure_16, digging.figure_17])
