@@ -225,10 +225,10 @@ def test_a_motion_is_drawn_imitated_learned_pushed_taken_along_and_found_again(s
         assert strokes[0][0] == pytest.approx([-0.8, 0.0], abs=0.01) and strokes[0][-1] == pytest.approx(
             [0.8, 0.0], abs=0.01
         )
+        page.until("document.querySelector('.studio-left').innerText.includes('imitated in')")
         page.keep("drawn")
 
         # drag the start: the motion follows before it is let go
-        page.until("document.querySelector('.studio-left').innerText.includes('imitated in')")
         before, start = page.shown("imitated")[0], page.shown("start")
         page.tool("move")
         x, y = page.at(*start)
