@@ -276,6 +276,27 @@ def of_one_dtype(given: Mapping[str, Any], *, optional: Collection[str] = (), fi
     return tensors.values()
 
 
+def over(name: str, value: Array, reference: Tensor, axes: str, last: int = 1) -> Tensor:
+    """What a user gave as tensor of the shape of another, which it is `beside` and does not make larger.
+
+    Args:
+        name: of the argument.
+        value: that was given.
+        reference: the other one.
+        axes: of the value, in words.
+        last: how many of the last axes have to be of equal size.
+
+    Raises:
+        InvalidArgumentError: no array of real numbers, or one that does not fit.
+    """
+    value = beside(name, value, reference, axes, last)
+    if broadcast_shape(value.shape, reference.shape) != tuple(reference.shape):
+        raise InvalidArgumentError(
+            f"{name} has to be {axes} and fit {tuple(reference.shape)}, got shape {tuple(value.shape)}"
+        )
+    return value.expand_as(reference)
+
+
 def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:
     """The shape that tensors of these shapes broadcast to; that of torch imports sympy, which takes half a second.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchds.arrays import Array, number, real
+from torchds.arrays import Array, beside, number, real
 from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.steps import AWAY, AWAY_ALONG_NORMAL, BEYOND, CONSTANT, ScalarStep
@@ -36,7 +36,7 @@ class ConstantForce(Movable):
 
     def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
         """The force at positions `x` `(..., D)`."""
-        force = self.force.to(x)
+        force = beside("force", self.force, x, "(*batch, *points, D)")
         return force if self.border is None else torch.where(x[..., self.axis, None] > self.border, force, 0.0)
 
     def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
@@ -68,8 +68,7 @@ class SpringForce(Movable):
 
     def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
         """The force at positions `x` `(..., D)`."""
-        _check_axes("anchor", self.anchor, x.shape[-1])
-        force: Tensor = self.stiffness * (self.anchor.to(x) - x)
+        force: Tensor = self.stiffness * (beside("anchor", self.anchor, x, "(*batch, *points, D)") - x)
         return force
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchds.arms import Arm as Arm
 from torchds.arms import arm as arm
-from torchds.arrays import Array, beside, broadcast_shape, number, real
+from torchds.arrays import Array, beside, broadcast_shape, number, over, real
 from torchds.cartesian import CartesianImpedance as CartesianImpedance
 from torchds.devices import Movable
 from torchds.disturbances import Disturbance
@@ -90,7 +90,8 @@ class ImpedanceControlled(Movable):
 
     def step(self, state: PointMassState, command: Command) -> PointMassState:
         """One step of Eq. 29-33; the external force is taken at the state before it."""
-        m, d, dt = self.plant.mass, self.plant.damping, command.dt
+        m, d, dt, n_axes = self.plant.mass, self.plant.damping, command.dt, state.x.shape[-1]
+        wanted = (command.v if self.form == "explicit" else command.v_before)[..., :n_axes]  # more outputs move no axis
         s = self._stiffness(state.x, command.stiffness)
         if self.max_rate is not None and command.t > 0:
             step = self.max_rate * dt
@@ -101,11 +102,11 @@ class ImpedanceControlled(Movable):
             chance = self.disturbance.at(command.t, dt)
             measured, speed, force = measured + chance.position, speed + chance.velocity, force + chance.force
         if self.form == "explicit":
-            u = s * (command.x - measured) + D * (command.v - speed)
+            u = s * (command.x - measured) + D * (wanted - speed)
             a = (u + force - d * state.v) / m
         else:
             # x_t = x + v_t dt and v_t = v + a dt in Eq. 33, solved for a.
-            u = s * (command.x_before - measured - dt * state.v) + D * (command.v_before - speed)
+            u = s * (command.x_before - measured - dt * state.v) + D * (wanted - speed)
             a = (u + force - d * state.v) / (m + s * dt * dt + D * dt)
         x, v = self.plant.advance(state, a, dt)
         return PointMassState(x, v, a, s, force)
@@ -139,7 +140,7 @@ class ImpedanceControlled(Movable):
         if isinstance(self.stiffness, float):
             return torch.full_like(x, self.stiffness)
         if self.stiffness is not None:
-            return beside("stiffness", self.stiffness, x, "a number or (D,)", last=0).expand_as(x)
+            return over("stiffness", self.stiffness, x, "a number or (D,)", last=0)
         if asked is None:
             asked = x[..., :0]
         return asked.clamp(self.low, self.high)[..., self._followed(x.shape[-1], asked.shape[-1])]

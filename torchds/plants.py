@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from torchds.arrays import beside, number
+from torchds.arrays import number, over
 from torchds.devices import Movable
 from torchds.errors import InvalidArgumentError
 
@@ -101,7 +101,7 @@ class PointMass(Movable):
         """The external force in a state."""
         if self.force is None:
             return torch.zeros_like(state.x)
-        return beside("force", self.force(t, state.x, state.v), state.x, "(..., D)").expand_as(state.x)
+        return over("force", self.force(t, state.x, state.v), state.x, "(..., D)")
 
     def advance(self, state: PointMassState, acceleration: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Velocity first, then position with the new velocity (Eq. 29-30)."""

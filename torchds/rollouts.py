@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchds import kernels, visits
-from torchds.arrays import Array, count, like, number, without_autocast
+from torchds.arrays import Array, count, like, number, over, without_autocast
 from torchds.errors import InvalidArgumentError
 from torchds.kernels import Backend, Setting, Unfit, own
 from torchds.moments import Moment as Moment
@@ -205,10 +205,10 @@ def _fused(
         raise Unfit("there is no roll-out")
     setting = Setting(lead, n_steps, float(dt), shift)
     if stop is not None:
-        setting = setting._replace(stop=kernels.scalar_step(stop, "stop condition", D, Q, rows))
+        setting = setting._replace(stop=kernels.scalar_step(stop, "stop condition", D, Q, rows, lead))
     fields: Any = None
     if plant is not None:
-        setting = setting._replace(plant=kernels.scalar_step(plant, "plant", D, Q, rows))
+        setting = setting._replace(plant=kernels.scalar_step(plant, "plant", D, Q, rows, lead))
         fields = plant.reset(x0.expand(*lead, D))
         setting = setting._replace(begin=kernels.flat_state(fields, rows))
 
@@ -238,12 +238,4 @@ def _fused(
 
 
 def _checked_shift(shift: Array, x: Tensor) -> Tensor:
-    shift = like("shift", shift, x)
-    try:
-        shift.expand(x.shape)
-        fits = shift.shape[-1:] == x.shape[-1:]
-    except RuntimeError:
-        fits = False
-    if not fits:
-        raise InvalidArgumentError(f"shift {tuple(shift.shape)} has to broadcast with the states {tuple(x.shape)}")
-    return shift
+    return over("shift", shift, x, "(..., D)")

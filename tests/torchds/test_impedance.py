@@ -103,6 +103,20 @@ def test_a_tracked_motion_is_equations_29_to_33(form, Q, force, mass, damping):
 
 
 @FORMS
+@pytest.mark.parametrize("backend", ["eager", "auto"])
+def test_outputs_beyond_the_axes_move_nothing(randn, form, backend):
+    policy = make_policy(1).requires_grad_(False)
+    values = {name: getattr(policy, name) for name in ("priors", "means", "covariances", "stiffness_A", "stiffness_b")}
+    more = GMRPolicy(A=torch.cat([policy.A, randn(2, 1, 2)], 1), b=torch.cat([policy.b, randn(2, 1)], 1), **values)
+    plant = ImpedanceControlled(PointMass(), form=form)
+    x0 = randn(5, 2)
+    with torch.no_grad():
+        found, usual = (rollout(each, x0, 20, 0.05, plant=plant, backend=backend) for each in (more, policy))
+    assert_close(found.x, usual.x, rtol=1e-12, atol=1e-12)
+    assert_close(found.plant.v, usual.plant.v, rtol=1e-12, atol=1e-12)
+
+
+@FORMS
 @pytest.mark.parametrize("batch", [(), (3,), (2, 2)])
 @pytest.mark.parametrize("points", [(), (4,), (2, 2)])
 @pytest.mark.slow

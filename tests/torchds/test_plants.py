@@ -1,5 +1,6 @@
 """Point masses and the commands they get, against closed forms; roll-outs that carry a plant."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from torch.testing import assert_close
 
 from torchds import Bounds, GMRPolicy, rollout
 from torchds.errors import InvalidArgumentError
+from torchds.forces import ConstantForce, SpringForce
 from torchds.impedance import ImpedanceControlled
 from torchds.plants import Command, PointMass, PointMassState
 
@@ -58,6 +60,16 @@ def test_a_constant_force_may_be_one_vector_for_all(random_policy, randn):
     assert torch.equal(one.x, each.x)
     assert one.plant.force.shape == (2, 3, 5, 2)
     assert torch.equal(one.plant.force[..., 1:, :], gravity.expand(2, 3, 4, 2))
+
+
+@pytest.mark.parametrize("backend", ["eager", "auto"])
+@pytest.mark.parametrize("shape", [(5, 2), (3, 4, 2), (3,)])
+@pytest.mark.parametrize("kind", [ConstantForce, lambda at: SpringForce(at, 1.0), lambda at: lambda t, x, v: at])
+def test_a_force_of_other_roll_outs_is_refused_in_words(random_policy, kind, shape, backend):
+    policy = random_policy(Q=1, batch=(4,)).requires_grad_(False)
+    plant = ImpedanceControlled(PointMass(force=kind(torch.ones(*shape, dtype=torch.float64))))
+    with pytest.raises(InvalidArgumentError, match=rf"(force|anchor) has to .*got shape {re.escape(str(shape))}"):
+        rollout(policy, torch.zeros(2), 3, 0.1, plant=plant, backend=backend)
 
 
 @pytest.mark.parametrize(("mass", "damping"), [(1.0, 1.0), (2.5, 0.4)])

@@ -296,7 +296,7 @@ def test_a_motion_that_ends_at_its_goal_ends_at_the_shifted_one():
 
 @pytest.mark.parametrize("shift", [torch.zeros(3), torch.zeros(5, 2), torch.zeros(1, 1, 4, 2)])
 def test_a_shift_that_does_not_fit_is_refused(random_policy, shift):
-    with pytest.raises(InvalidArgumentError, match=re.escape(f"shift {tuple(shift.shape)} has to broadcast with")):
+    with pytest.raises(InvalidArgumentError, match=re.escape(f"fit (4, 2), got shape {tuple(shift.shape)}")):
         rollout(random_policy(), torch.zeros(4, 2, dtype=torch.float64), n_steps=3, dt=0.1, shift=shift)
 
 

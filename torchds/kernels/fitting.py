@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from torchds.arrays import broadcast_shape
 from torchds.kernels.choice import MISSING, Unfit, has, wanted
 from torchds.kernels.fused import Field
 from torchds.kernels.steps import ScalarStep, own
@@ -68,23 +69,30 @@ def fits(*tensors: Tensor) -> bool:
     return all(t.numel() for t in tensors)
 
 
-def scalar_step(part: Any, who: str, n_axes: int, n_rows: int, like: Tensor) -> ScalarStep:
+def scalar_step(part: Any, who: str, n_axes: int, n_rows: int, like: Tensor, lead: tuple[int, ...]) -> ScalarStep:
     """The scalar step that a stop condition or a plant brings, its parameters of the precision of `like`.
 
     Raises:
-        Unfit: it brings none.
+        Unfit: it brings none, or one that is not for roll-outs `lead`.
     """
     make = own(part, "scalar_step")
     step: ScalarStep | None = None if make is None else make(n_axes, n_rows)
     if step is None:
         raise Unfit(f"the {who} {type(part).__name__} has no scalar step (see torchds.kernels.ScalarStep)")
-    force = step.force and step.force._replace(parameters=_plain(step.force.parameters, like))
-    return step._replace(parameters=_plain(step.parameters, like), force=force)
+    force = step.force and step.force._replace(parameters=_plain(step.force.parameters, like, lead))
+    return step._replace(parameters=_plain(step.parameters, like, lead), force=force)
 
 
-def _plain(values: Tensor, like: Tensor) -> Tensor:
+def _plain(values: Tensor, like: Tensor, lead: tuple[int, ...]) -> Tensor:
     if values.requires_grad and torch.is_grad_enabled():
         raise Unfit("gradients for the parameters of a plant or a stop condition need the eager loop")
+    own = tuple(values.shape[:-1])
+    try:
+        fits = broadcast_shape(own, lead) == lead
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise Unfit(f"the parameters of a plant or a stop condition are those of {own} roll-outs, not of {lead}")
     return values.detach().to(like)
 
 

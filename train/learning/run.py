@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Collection
@@ -139,7 +140,7 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
     if options.task != before.task:
         raise InvalidArgumentError(
             f"{folder.option} {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
-            f"python -m train {before.task} --resume {folder.path}"
+            + resuming(before.task, folder)
         )
     usual = type(options)()
     names = [field.name for field in fields(options) if field.name not in (*UNKEPT, "logdir")]
@@ -157,6 +158,11 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
             f"{', '.join(contradicting)}; leave them out, or begin another run"
         )
     return replace(before, **{name: getattr(options, name) for name in differing})
+
+
+def resuming(task: str, folder: RunFolder) -> str:
+    """The command that goes on with a run."""
+    return shlex.join(["python", "-m", "train", task, "--resume", str(folder.path)])
 
 
 def decay(learner: Learner) -> str:
@@ -207,9 +213,7 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0, processes: Proc
                 bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
                 bar.update()
         except KeyboardInterrupt:
-            raise Interrupted(
-                f"stopped; continue with: python -m train {options.task} --resume {folder.path}"
-            ) from None
+            raise Interrupted(f"stopped; continue with: {resuming(options.task, folder)}") from None
         finally:
             bar.close()
         finish(folder, events, album)

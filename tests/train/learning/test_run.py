@@ -1,4 +1,5 @@
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.metadata import parse_session_start_info_plugin_data
 
 from torchds.errors import InvalidArgumentError
-from train.learning.run import run
+from train.folder import RunFolder
+from train.learning.run import resuming, run
 from train.options import options_for
 
 ROOT = Path(__file__).parents[3]
@@ -117,6 +119,12 @@ def test_wrong_options_are_refused_before_a_folder_is_made(options, words, tmp_p
     with pytest.raises(InvalidArgumentError, match=words):
         run(options_for("via_point", logdir=tmp_path, **options))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_command_that_goes_on_with_a_run_is_read_by_a_shell_as_it_was_meant(tmp_path):
+    folder = RunFolder(tmp_path / "my runs" / "it's one")
+    command = ["python", "-m", "train", "my task.json", "--resume", str(folder.path)]
+    assert shlex.split(resuming("my task.json", folder)) == command
 
 
 @pytest.mark.slow
