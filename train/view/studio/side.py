@@ -90,7 +90,9 @@ class Side:
         except TorchdsError:
             shutil.rmtree(folder.path, ignore_errors=True)
             raise
-        self.end()
+        if self._worker is not None:
+            self._worker.leave()  # it keeps what it has, in a folder of its own, while the next one begins
+        self.running = False
         self.resume(folder.path)
 
     def resume(self, folder: Path) -> None:

@@ -91,6 +91,10 @@ class Worker:
             return found or None
         return found
 
+    def leave(self) -> None:
+        """Let it go without waiting until it has ended."""
+        threading.Thread(target=self.end, daemon=True).start()
+
     def end(self) -> None:
         """Let it go; whatever it is doing, it ends soon."""
         self._beginning.join()

@@ -38,6 +38,8 @@ class Instant:
     def end(self):
         self.dead = True
 
+    leave = end
+
 
 class Looking:
     def __init__(self):

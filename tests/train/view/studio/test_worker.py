@@ -52,6 +52,22 @@ def test_it_answers_and_ends_with_its_pipe_and_a_killed_one_is_noticed():
     worker.end()
 
 
+def busy(pipe):
+    """Works for 3 s before it listens."""
+    pipe.send("begun")
+    time.sleep(3)
+    pipe.next()
+
+
+def test_a_process_that_is_busy_is_left_without_waiting():
+    worker = Worker(busy)
+    until(lambda: worker.answers())
+    began = time.monotonic()
+    worker.leave()
+    assert time.monotonic() - began < 1
+    until(lambda: not running(worker.process.pid))
+
+
 ORPHANS = """
 import os, time
 from train.view.studio.imitating import imitate
