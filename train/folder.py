@@ -210,7 +210,7 @@ def load(path: Path, kind: str, names: Iterable[str]) -> dict[str, Any]:
 def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) -> None:
     """Refuse a file of another run: another task, or another value of an option that decides about what is learned.
 
-    The number of updates may differ, since a run can be extended, and so may the place of the folder and the threads.
+    The number of updates may differ, since a run can be extended, and so may its folder, the threads and the device.
 
     Raises:
         FileError: what differs.
@@ -220,7 +220,7 @@ def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) 
     differing = [
         f"{name} {there.get(name, usual[name])} there and {here[name]} here"
         for name in here
-        if name not in ("updates", "logdir", "threads") and there.get(name, usual[name]) != here[name]
+        if name not in ("updates", "logdir", "threads", "device") and there.get(name, usual[name]) != here[name]
     ]
     if content["task"] != options.task:
         differing.insert(0, f"task {content['task']} there and {options.task} here")

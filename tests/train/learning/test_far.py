@@ -12,6 +12,7 @@ from tests.far import FAR, pretended
 from torchds import GaussianMixture, load_lasa
 from torchds.devices import moved
 from torchds.errors import InvalidArgumentError
+from train.folder import RunFolder
 from train.learning import figures
 from train.learning.learner import Learner
 from train.options import options_for
@@ -55,6 +56,17 @@ def test_a_run_learns_the_same_there_and_its_checkpoint_moves(optimizer, explora
             learner.update()
         assert back.policy.A.device == torch.device("cpu") and forth.policy.A.device == FAR
         assert_close(torch.tensor(forth.history.cost), torch.tensor(back.history.cost), rtol=1e-9, atol=0)
+
+
+def test_a_run_goes_on_from_its_folder_on_another_device(options, tmp_path):
+    begun, folder = Learner(options()), RunFolder(tmp_path)
+    begun.start()
+    begun.update()
+    folder.save_checkpoint(begun)
+    other = Learner(options())
+    other.options = replace(other.options, device="cuda")  # as it is begun where there is a GPU
+    folder.restore(other)
+    assert other.done == 1 and torch.equal(other.policy.pack(), begun.policy.pack())
 
 
 @pytest.mark.slow
