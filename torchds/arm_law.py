@@ -5,6 +5,7 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -62,7 +63,7 @@ def torques(state: State, gains: Gains, J: Tensor, K: Tensor, error: Tensor, vel
 
 
 def rotation_vector(turn: Tensor) -> Tensor:
-    """The vector `(..., 3)` of rotations `(..., 3, 3)`, exact up to half a turn, where the shorter way is not defined."""
+    """The vector `(..., 3)` of rotations `(..., 3, 3)`, exact up to half a turn, where there are two ways of one length."""
     twice = torch.stack(
         [
             turn[..., 2, 1] - turn[..., 1, 2],
@@ -75,7 +76,14 @@ def rotation_vector(turn: Tensor) -> Tensor:
     cosine = 0.5 * (turn.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True) - 1)
     small = sine < 1e-9
     ratio = torch.where(small, 1.0, torch.atan2(sine, cosine) / sine.masked_fill(small, 1.0))
-    return 0.5 * twice * ratio
+    return torch.where(small & (cosine < 0), math.pi * _axis_of_half_turn(turn), 0.5 * twice * ratio)
+
+
+def _axis_of_half_turn(turn: Tensor) -> Tensor:
+    """n `(..., 3)` of R = 2 n nᵀ − I: the longest column of R + I."""
+    columns = turn + torch.eye(3, dtype=turn.dtype, device=turn.device)
+    longest = columns.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None].expand(*turn.shape[:-1], 1)
+    return torch.nn.functional.normalize(columns.gather(-1, longest).squeeze(-1), dim=-1)
 
 
 def _times(matrix: Tensor, vector: Tensor) -> Tensor:

@@ -251,7 +251,7 @@ class CartesianImpedance:
             for part in (error[..., :3].detach(), error[..., 3:].detach())
         )
         near, little = self.start_within
-        if distance > near or angle > little:
+        if not (distance <= near and angle <= little):  # nor NaN
             raise InvalidArgumentError(
                 f"the tool begins {distance:.3g} m and {math.degrees(angle):.3g}° from its reference, at most {near:.3g} m and "
                 f"{math.degrees(little):.3g}° are allowed; bring it there first, give the tool that the reference means "

@@ -187,7 +187,7 @@ def _logarithm(q: Tensor) -> Tensor:
     """The rotation vector of unit quaternions, of a length up to 2π for a scalar below zero."""
     w, vector = q[..., :1], q[..., 1:]
     sine = torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
-    tiny = sine < 1e-150
+    tiny = sine == 0
     safe = torch.where(tiny, torch.ones_like(sine), sine)
     return torch.where(tiny, 2 * torch.ones_like(sine), 2 * torch.atan2(safe, w) / safe) * vector
 
@@ -250,7 +250,9 @@ def _rotation_part(name: str, x: Array) -> Tensor:
 def _scalar_first(q: Tensor, order: Order) -> Tensor:
     if order not in get_args(Order):
         raise UnknownNameError("order", order, get_args(Order))
-    return q if order == "wxyz" else q[..., [3, 0, 1, 2]]
+    return (
+        q if order == "wxyz" or q.shape[-1:] != (4,) else q[..., [3, 0, 1, 2]]
+    )  # others are refused by who takes them
 
 
 def _in_order(q: Tensor, order: Order) -> Tensor:

@@ -8,6 +8,14 @@ import torch
 from torchds.arm_law import rotation_vector
 
 
+def test_the_vector_of_half_a_turn_is_as_long_as_any_other(randn):
+    axis = torch.nn.functional.normalize(torch.cat([randn(50, 3), torch.eye(3, dtype=torch.float64)]), dim=-1)
+    turn = 2 * axis.unsqueeze(-1) * axis.unsqueeze(-2) - torch.eye(3, dtype=torch.float64)
+    found = rotation_vector(turn) / math.pi
+    torch.testing.assert_close((found * axis).sum(-1).abs(), torch.ones(53, dtype=torch.float64), atol=1e-12, rtol=0)
+    torch.testing.assert_close(found.norm(dim=-1), torch.ones(53, dtype=torch.float64), atol=1e-12, rtol=0)
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, math.pi - 1e-3])
 def test_the_vector_of_a_rotation_is_exact(angle, randn):
     axis = torch.nn.functional.normalize(randn(5, 3), dim=-1)

@@ -295,10 +295,15 @@ def test_a_tool_is_the_same_as_a_longer_chain(chain, start, randn):
 def test_a_tool_far_from_its_reference_is_refused_once(chain, start):
     zero, eye = torch.zeros(7, dtype=torch.float64), torch.eye(7, dtype=torch.float64)
     near, far, flipped = at(X, Z, ANGLE), at(X + 0.4, Z, ANGLE), at(X, Z, ANGLE + 3.1)
+    pose = Impedance(chain, start, start_within=None)(start, zero, eye, zero, near, 100.0).pose
+    upside_down = pose[:3, :3] @ torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+    nowhere = PoseReference(torch.full_like(pose[:3, 3], torch.nan), pose[:3, :3], 0 * pose[:3, 3], 0 * pose[:3, 3])
     control = Impedance(chain, start)
     for wanted, words in (
         (far, r"begins 0\.4 m and .*° from its reference"),
         (flipped, r"m and 178° from.*at most.*30°"),
+        (nowhere._replace(x=pose[:3, 3], rotation=upside_down), r"m and 180° from"),
+        (nowhere, r"begins nan m"),
     ):
         with pytest.raises(InvalidArgumentError, match=words):
             control(start, zero, eye, zero, wanted, 100.0)

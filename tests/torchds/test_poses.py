@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 import torchds
 from torchds import poses
-from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError, UnknownNameError
+from torchds.errors import InvalidArgumentError, InvalidDemonstrationsError, TorchdsError, UnknownNameError
 
 EXACT = {"rtol": 0, "atol": 1e-12}
 
@@ -95,6 +95,23 @@ def recording(signs=1.0, start=2.6, n=80):
     t = torch.linspace(0, 1, n, dtype=torch.float64)[:, None]
     r = start * (1 - t) ** 2 * torch.tensor([[0.6, 0.0, -0.8]], dtype=torch.float64)
     return torch.cat([1 - t, t**2 - t, t - 1], -1), signs * poses.quaternion(r, GOAL), r
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_single_precision_ends_at_its_goal_and_other_shapes_are_refused(order):
+    one = torch.tensor([1.0, 0, 0, 0])[[0, 1, 2, 3] if order == "wxyz" else [1, 2, 3, 0]]
+    assert poses.rotation_vector(one, one, order=order).tolist() == [0.0, 0.0, 0.0]
+    p, q = np.zeros((5, 3), np.float32), one.expand(5, 4).numpy()
+    assert poses.from_poses([p], [q], 0.1, order=order)[0].x.tolist() == [[0.0] * 6] * 5
+    for refused in (
+        lambda: poses.rotation_vector(one[:3], one, order=order),
+        lambda: poses.quaternion([0.0] * 3, one[:3], order=order),
+        lambda: poses.last_orientation([q[:, :3]], order=order),
+        lambda: poses.from_poses([p], [q], 0.1, one[:3], order=order),
+        lambda: poses.from_poses([p], [q[:, :3]], 0.1, order=order),
+    ):
+        with pytest.raises(TorchdsError, match=r"4"):
+            refused()
 
 
 def test_demonstrations_are_the_rotation_vectors_whatever_the_signs():

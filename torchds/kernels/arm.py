@@ -105,6 +105,16 @@ def _error(T, position, rotation, e):
     e[3], e[4], e[5] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
     sine = 0.5 * math.sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
     cosine = 0.5 * (turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0)
+    if sine < 1e-9 and cosine < 0.0:  # half a turn
+        k, longest = 0, turn[0, 0]
+        for i in range(1, 3):
+            if turn[i, i] > longest:
+                k, longest = i, turn[i, i]
+        turn[k, k] += 1.0
+        norm = math.sqrt(turn[0, k] * turn[0, k] + turn[1, k] * turn[1, k] + turn[2, k] * turn[2, k])
+        for i in range(3):
+            e[3 + i] = math.pi * turn[i, k] / norm
+        return
     ratio = 1.0 if sine < 1e-9 else math.atan2(sine, cosine) / sine
     for i in range(3, 6):
         e[i] *= 0.5 * ratio

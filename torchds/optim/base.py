@@ -311,7 +311,7 @@ class PolicySearch(Drawing):
             found |= exploration.scalars()
         if (last := self.last) is not None:
             w = last.weights
-            found["weights/entropy"] = float(-(w * w.clamp_min(1e-300).log()).sum(0).mean())
+            found["weights/entropy"] = float(torch.special.entr(w).sum(0).mean())
             found["exploration/mean_cost"] = float(last.cost[~last.failed].mean())
         return found
 

@@ -34,6 +34,8 @@ def test_it_is_the_law_of_torch(randn, n, slides, in_space):
     chain, state = screws(randn, slides, n), arms(randn, n, 20)
     if in_space:
         rotation = chain.jacobian(randn(20, n))[1][:, :3, :3]
+        here = chain.jacobian(state[0], ret_eef_pose=True)[1][:3, :3, :3]
+        rotation[:3] = here @ torch.diag(torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64))  # half a turn away
         reference = PoseReference(randn(20, 3), rotation, randn(20, 3), randn(20, 3))
     else:
         reference = PlaneReference(randn(20, 2), randn(20), randn(20, 2), randn(20))
