@@ -33,6 +33,11 @@ class ConstantForce(Movable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "force", real("force", self.force, "(*batch, *points, D)"))
+        D = self.force.shape[-1]
+        if self.border is not None and self.axis not in range(-D, D):
+            raise InvalidArgumentError(
+                f"axis has to be one of the {D} of the force, from {-D} to {D - 1}, got {self.axis!r}"
+            )
 
     def __call__(self, t: float, x: Tensor, v: Tensor) -> Tensor:
         """The force at positions `x` `(..., D)`."""
@@ -46,8 +51,9 @@ class ConstantForce(Movable):
         _check_axes("force", self.force, n_axes)
         if self.border is None:
             return ScalarStep(CONSTANT, self.force)
-        where = self.force.new_tensor([self.border, self.axis % n_axes]).expand(*self.force.shape[:-1], 2)
-        return ScalarStep(BEYOND, torch.cat([where, self.force], -1))
+        force = self.force.double()  # the border is a number of Python
+        where = force.new_tensor([self.border, self.axis % n_axes]).expand(*force.shape[:-1], 2)
+        return ScalarStep(BEYOND, torch.cat([where, force], -1))
 
 
 @dataclass(frozen=True)
@@ -79,13 +85,19 @@ class DivergentForce(Movable):
         path: `(n, D)` points of the path.
         gain: [N/m].
         along_normal: whether it points along the normal of the path's segment at the nearest point, to the side where the
-            position is, rather than straight away from that point; in the plane.
+            position is, rather than straight away from that point; in the plane, where points that repeat are left out.
     """
 
     def __init__(self, path: Array, gain: float, *, along_normal: bool = False) -> None:
         path = real("path", path)
         if path.ndim != 2 or len(path) < 2:
             raise InvalidArgumentError(f"path has to be (n, D) of at least two points, got shape {tuple(path.shape)}")
+        if along_normal:
+            path = path[torch.cat([path.new_ones(1, dtype=torch.bool), path.diff(dim=0).any(-1)])]
+            if len(path) < 2 or path.shape[-1] != 2:
+                raise InvalidArgumentError(
+                    f"a path with normals has to be (n, 2) of at least two different points, got {tuple(path.shape)} of them"
+                )
         self.path, self.gain, self.along_normal = path, number("gain", gain, "finite", math.isfinite), along_normal
         self.normal = torch.zeros_like(path)  # (n, D)
         if along_normal:
@@ -111,12 +123,8 @@ class DivergentForce(Movable):
         if type(self) is not DivergentForce:
             return None
         _check_axes("path", self.path, n_axes)
-        parts = [
-            self.path.new_tensor([self.gain]),
-            self.path.flatten(),
-            self.path.square().sum(-1),
-            self.normal.flatten(),
-        ]
+        path = self.path.double()  # the gain is a number of Python
+        parts = [path.new_tensor([self.gain]), path.flatten(), path.square().sum(-1), self.normal.double().flatten()]
         return ScalarStep(AWAY_ALONG_NORMAL if self.along_normal else AWAY, torch.cat(parts))
 
 

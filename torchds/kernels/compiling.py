@@ -50,9 +50,11 @@ def jitted(function: Any) -> Any:
     if hasattr(function, "py_func"):
         return function
     inside = tuple(cell.cell_contents for cell in function.__closure__ or ())
-    key = (function.__code__, function.__defaults__, inside, id(function.__globals__))
+    named = tuple(function.__globals__.get(name) for name in function.__code__.co_names)  # frozen by the compiler
+    values = tuple((type(each), each) if isinstance(each, (bool, int, float, str)) else id(each) for each in named)
+    key = (function.__code__, function.__defaults__, inside, id(function.__globals__), values)
     try:
-        return _jitted.setdefault(key, compiled(function))
+        return _jitted.setdefault(key, (compiled(function), named))[0]  # what is kept cannot leave its id to others
     except TypeError:  # something inside is not hashable
         return compiled(function)
 

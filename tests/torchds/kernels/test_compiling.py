@@ -108,3 +108,16 @@ def test_what_is_made_anew_of_the_same_code_is_compiled_once():
     assert jitted(scaled(2.0)) is not jitted(scaled(3.0))
     assert jitted(jitted(scaled(2.0))) is jitted(scaled(2.0))
     assert jitted(scaled(2.0))(3.0) == 6.0
+
+
+def test_a_cell_of_a_notebook_that_is_run_again_is_compiled_again_where_a_number_in_it_has_changed():
+    from torchds.kernels.compiling import jitted
+
+    cell, notebook = compile("def force(x):\n    return GAIN * x\n", "<cell>", "exec"), {}
+    found = []
+    for gain in (1.0, 1.0, 2.0):
+        notebook["GAIN"] = gain
+        exec(cell, notebook)
+        found.append(jitted(notebook["force"]))
+        assert found[-1](3.0) == notebook["force"](3.0)
+    assert found[0] is found[1] is not found[2]
