@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchds import sharing
-from torchds.arrays import count, number
+from torchds.arrays import count, number, over
 
 
 class Disturbance(NamedTuple):
@@ -29,8 +29,15 @@ class Disturbance(NamedTuple):
     velocity: Tensor
     force: Tensor
 
-    def at(self, t: Any, dt: float) -> Disturbance:
-        """Those of the step that begins at `t`, `(*batch, *points, D)`; a tensor in a program that is traced."""
+    def at(self, t: Any, dt: float, x: Tensor) -> Disturbance:
+        """Those of the step that begins at `t`, for states `x` `(*batch, *points, D)`; a tensor in a program that is traced.
+
+        Raises:
+            InvalidArgumentError: they are not of these roll-outs.
+        """
+        return Disturbance(*(over("the disturbance of a step", e, x, "(*batch, *points, D)") for e in self._of(t, dt)))
+
+    def _of(self, t: Any, dt: float) -> Disturbance:
         n = self.force.shape[-2]
         if not isinstance(t, Tensor):
             i = round(t / dt)

@@ -9,7 +9,7 @@ Stability: experimental.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,6 +24,15 @@ from torchds.policy import GMRPolicy
 
 ALPHA_Z = 25.0  # of the spring and damper, critically damped with β_z = α_z / 4
 ALPHA_S = math.log(100.0)  # of the phase: a hundredth is left when the motion ends
+
+
+class _Phased(Rollout):
+    """A roll-out whose inputs are phases, and whose features are ψ_k s / Σ ψ, each beside a zero."""
+
+    @property
+    def gating(self) -> Tensor:
+        """ψ_k / Σ ψ `(*batch, *points, T, K)`."""
+        return self.features[..., ::2] / self.inputs
 
 
 class State(NamedTuple):
@@ -55,6 +64,7 @@ class DMP(GMRPolicy):
     """
 
     goal: Tensor
+    tau: Tensor
 
     def __init__(self, weights: Array, goal: Array, duration: float) -> None:
         w = real("weights", weights)
@@ -67,7 +77,7 @@ class DMP(GMRPolicy):
         priors = width / width.sum()  # so that all ψ are equally high
         super().__init__(priors, centers[:, None], width.square()[:, None, None], w.unsqueeze(-1), torch.zeros_like(w))
         self.b.requires_grad_(False)
-        self.duration = tau
+        self.register_buffer("tau", torch.tensor(tau, dtype=torch.float64, device=w.device))
         self.register_buffer("goal", like("goal", goal, w))
         if self.goal.shape != (O,):
             raise InvalidArgumentError(
@@ -103,6 +113,22 @@ class DMP(GMRPolicy):
             features.append(primitive.features(s)[..., ::2])
         w = torch.linalg.lstsq(torch.cat(features), torch.cat(targets)).solution
         return cls(w, primitive.goal, primitive.duration)
+
+    @property
+    def duration(self) -> float:
+        """τ [s]."""
+        return float(self.tau)
+
+    def save(self, *args: Any, **about: Any) -> None:
+        """Refuse: files of policies have no phase.
+
+        Raises:
+            InvalidArgumentError: always, with what keeps a primitive.
+        """
+        raise InvalidArgumentError(
+            "a file of a policy has no phase, got a primitive; keep torch.save(primitive.state_dict(), path), and load that into "
+            "one of as many basis functions and dimensions"
+        )
 
     # ------------------------------------------------------------------ the forcing term is linear in features
 
@@ -141,8 +167,12 @@ class DMP(GMRPolicy):
 
         Returns:
             A `Rollout` whose `x` is y `(*batch, *points, T+1, O)`, `v` is ẏ, and `inputs` the phase.
+
+        Raises:
+            InvalidArgumentError: starts of other dimensions, no steps, or a time step that is not positive.
         """
         n_steps = count("n_steps", n_steps, 1)
+        dt = number("dt", dt, "positive and finite", lambda step: 0 < step < math.inf)
         y = self.begin(x0).y
         lead, n = y.shape[:-1], len(self.batch_shape)
         s = self._phases(n_steps, dt)
@@ -153,7 +183,7 @@ class DMP(GMRPolicy):
         x = self.goal + free[:, None] * (y - self.goal).unsqueeze(-2) + filtered @ forces
         visited = features.expand(*lead, *features.shape)
         visits.report(self, visited)
-        return Rollout(
+        return _Phased(
             x=x,
             v=x.diff(dim=-2) / dt,
             visited=visited,

@@ -99,7 +99,7 @@ class ImpedanceControlled(Movable):
         D = 2 * (s * m).sqrt()
         measured, speed, force = state.x, state.v, self.plant.external(command.t, state)
         if self.disturbance is not None:
-            chance = self.disturbance.at(command.t, dt)
+            chance = self.disturbance.at(command.t, dt, measured)
             measured, speed, force = measured + chance.position, speed + chance.velocity, force + chance.force
         if self.form == "explicit":
             u = s * (command.x - measured) + D * (wanted - speed)
@@ -113,7 +113,7 @@ class ImpedanceControlled(Movable):
 
     def measured(self, state: PointMassState, t: float, dt: float) -> Tensor:
         """Where the point mass seems to be `(*batch, *points, D)`, which is what a policy with feedback sees."""
-        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt).position
+        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt, state.x).position
 
     def scalar_step(self, n_axes: int, n_rows: int) -> ScalarStep | None:
         """The same for compiled code; None with a force that has no scalar step."""

@@ -103,7 +103,7 @@ class PassiveControlled:
 
     def measured(self, state: PassiveState, t: float, dt: float) -> Tensor:
         """Where the point mass seems to be `(*batch, *points, D)`, which is what the policy sees."""
-        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt).position
+        return state.x if self.disturbance is None else state.x + self.disturbance.at(t, dt, state.x).position
 
     def reset(self, x0: Tensor) -> PassiveState:
         """At rest at `x0`."""
@@ -119,16 +119,18 @@ class PassiveControlled:
         e = field / speed.clamp_min(torch.finfo(speed.dtype).tiny)  # zero where the field is: D = λ₂ I there
         force = self.plant.external(command.t, state)  # type: ignore[arg-type]  # x and v are what it looks at
         damping, stiffness = self._damping(state.x, command.stiffness)
+        felt = force
         if self.disturbance is not None:  # the damper takes what it measures
-            chance = self.disturbance.at(command.t, dt)
+            chance = self.disturbance.at(command.t, dt, state.x)
             along = (e * chance.velocity).sum(-1, keepdim=True) * e
-            force = force + chance.force - damping[0] * along - damping[1] * (chance.velocity - along)
+            force = force + chance.force
+            felt = force - damping[0] * along - damping[1] * (chance.velocity - along)
         drive = damping[0] * field
-        v = self._velocity(state.v, force + drive, e, damping, dt)
+        v = self._velocity(state.v, felt + drive, e, damping, dt)
         tank = state.tank
         if self.tank is not None:
             left = tank + dt * (_taken(v, e, damping) - (drive * v).sum(-1, keepdim=True))
-            still = self._velocity(state.v, force, e, damping, dt)
+            still = self._velocity(state.v, felt, e, damping, dt)
             enough = left >= 0
             v = torch.where(enough, v, still)
             tank = torch.where(enough, left, tank + dt * _taken(still, e, damping)).clamp_max(self.capacity)

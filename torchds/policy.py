@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from torchds import stability
-from torchds.arrays import Array, beside, like, of_one_dtype
+from torchds.arrays import Array, beside, broadcast_shape, like, of_one_dtype
 from torchds.errors import InvalidArgumentError
 from torchds.kernels.fused import Field
 from torchds.mixture import GaussianMixture
@@ -97,7 +97,14 @@ class GMRPolicy(ExpertParameters):
                     f"with {K} components of {D} inputs, slopes have to be (*batch, {K}, O, {D}) and offsets "
                     f"(*batch, {K}, O); got {tuple(slopes.shape)} and {tuple(offsets.shape)}"
                 )
-        lead, own = tuple(A_v.shape[:-3]), gate.batch_shape
+        try:
+            lead, own = broadcast_shape(A_v.shape[:-3], A_s.shape[:-3]), gate.batch_shape
+        except RuntimeError:
+            raise InvalidArgumentError(
+                f"A and stiffness_A need one batch, got {tuple(A_v.shape[:-3])} and {tuple(A_s.shape[:-3])}"
+            ) from None
+        A_v, A_s = (slopes.expand(*lead, *slopes.shape[-3:]) for slopes in (A_v, A_s))
+        b_v, b_s = (offsets.expand(*lead, *offsets.shape[-2:]) for offsets in (b_v, b_s))
         if lead[len(lead) - len(own) :] != own:
             raise InvalidArgumentError(f"a gating of batch {own} needs parameters whose batch ends with it, got {lead}")
         super().__init__(A_v, b_v, A_s, b_s)

@@ -79,6 +79,8 @@ def recruit(policy: GMRPolicy, at: Array, width: float) -> GMRPolicy:
     )
     for name in names:  # the control cost is measured from what was demonstrated, as before
         new.register_buffer(f"initial_{name}", doubled(f"initial_{name}"))
+        getattr(new, name).requires_grad_(getattr(policy, name).requires_grad)
+    new.info = policy.info
     return new
 
 

@@ -106,6 +106,24 @@ def test_the_damper_of_the_passive_controller_takes_what_it_measures(random_poli
     assert_close(path.plant.v[1], DT * force / (1 + DT * D))
 
 
+def test_sensor_noise_is_no_force(random_policy):
+    plant = PassiveControlled(PointMass(), disturbance=chance(2, push=0.0))
+    assert not rollout(random_policy(3, 2, 2, 0), torch.ones(2), T, DT, plant=plant).plant.force.any()
+
+
+@pytest.mark.parametrize("controlled", [ImpedanceControlled, PassiveControlled])
+@pytest.mark.parametrize("backend", ["eager", "auto"])
+def test_disturbances_are_of_the_roll_outs_and_in_their_precision(random_policy, controlled, backend):
+    policy, x0 = random_policy(3, 2, 2, 2).float(), torch.zeros(3, 2)
+    path = rollout(policy, x0, T, DT, plant=controlled(PointMass(), disturbance=chance(3, 2)), backend=backend)
+    assert path.x.dtype == path.plant.force.dtype == torch.float32
+    plant = controlled(PointMass(), disturbance=chance(5, 2))
+    with pytest.raises(
+        InvalidArgumentError, match=r"disturbance of a step has to be .* fit \(3, 2\), got shape \(5, 2\)"
+    ):
+        rollout(policy, x0, T, DT, plant=plant, backend=backend)
+
+
 @pytest.mark.parametrize("wrong", [{"sensor": -1.0}, {"push": float("nan")}, {"duration": 0.0}])
 def test_sizes_that_are_none_are_refused(wrong):
     with pytest.raises(InvalidArgumentError, match=f"{next(iter(wrong))} has to be"):

@@ -136,7 +136,8 @@ def test_rollouts_report_features_of_which_the_forcing_term_is_linear(primitive)
     forces = visit.features @ primitive.rows().mT
     assert torch.equal(forces, primitive(path.inputs))
     gating = primitive.feature_gating(visit.features)
-    torch.testing.assert_close(gating[..., ::2], primitive.gating(path.inputs), rtol=0, atol=1e-12)
+    for found in (gating[..., ::2], path.gating):
+        torch.testing.assert_close(found, primitive.gating(path.inputs), rtol=0, atol=1e-12)
 
 
 def test_the_control_cost_projects_on_the_basis_alone(primitive):
@@ -167,7 +168,7 @@ def test_it_is_a_policy_of_its_parameters(primitive):
     assert sum(p.numel() for p in primitive.parameters() if p.requires_grad) == 12
     batch = primitive.expand(4)
     assert not batch.b.requires_grad and torch.equal(batch[2].A, primitive.A) and torch.equal(batch[2].goal, GOAL)
-    other = DMP(torch.zeros(6, 2, dtype=torch.float64), torch.zeros(2), 2.0)
+    other = DMP(torch.zeros(6, 2, dtype=torch.float64), torch.zeros(2), 5.0)
     other.load_state_dict(primitive.state_dict())
     assert torch.equal(other.rollout(GOAL, 5, 0.1).x, primitive.rollout(GOAL, 5, 0.1).x)
 
@@ -179,6 +180,8 @@ def test_it_is_a_policy_of_its_parameters(primitive):
         (lambda: DMP(torch.zeros(4, 2), torch.zeros(3), 1.0), "goal has to be (2,)"),
         (lambda: DMP(torch.zeros(4, 2), torch.zeros(2), 0.0), "duration has to be positive"),
         (lambda: DMP(torch.zeros(4, 2), torch.zeros(2), 1.0).rollout(torch.zeros(3), 5, 0.1), "end with 2 dimensions"),
+        (lambda: DMP(torch.zeros(4, 2), torch.zeros(2), 1.0).rollout(torch.zeros(2), 5, 0.0), "dt has to be positive"),
+        (lambda: DMP(torch.zeros(4, 2), torch.zeros(2), 1.0).save("primitive.pt"), "a file of a policy has no phase"),
     ],
 )
 def test_what_does_not_fit_is_refused(call, words):

@@ -52,6 +52,22 @@ def test_everything_is_as_printed(random_mixture, gmr_as_printed, randn, size):
         assert_close(policy.features(x).numpy(), np.outer(h, [*x, 1]).ravel(), **close)
 
 
+def test_stiffness_without_a_batch_is_that_of_every_policy_of_it(random_mixture, randn):
+    mixture = random_mixture(K=2, F=4, batch=(3,))
+    policy = GMRPolicy.from_mixture(mixture, 2, stiffness_dim=1, stiffness=100.0)
+    assert policy.stiffness_b.shape == (3, 2, 1) and policy.batch_shape == (3,)
+    x = randn(3, 2)
+    together = policy.stiffness(x)
+    for i in range(3):
+        assert_close(policy[i].stiffness(x[i]), together[i])
+    assert policy[0].expand(5).stiffness_b.shape == (5, 2, 1)
+    values = {name: getattr(policy[0], name) for name in ("priors", "means", "covariances")}
+    with pytest.raises(InvalidArgumentError, match=r"one batch, got \(3,\) and \(4,\)"):
+        GMRPolicy(
+            A=randn(3, 2, 2, 2), b=randn(3, 2, 2), stiffness_A=randn(4, 2, 1, 2), stiffness_b=randn(4, 2, 1), **values
+        )
+
+
 def test_one_component_is_linear(random_policy, randn):
     policy, x = random_policy(K=1), 100 * randn(50, 2)
     assert torch.equal(policy.gating(x), torch.ones(50, 1, dtype=x.dtype))

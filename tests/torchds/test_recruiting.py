@@ -67,6 +67,15 @@ def test_the_control_cost_is_measured_from_the_demonstrated_policy(random_policy
     assert torch.equal(new.rows() - new.initial_rows, torch.cat([deviation, deviation], -1))
 
 
+def test_what_is_frozen_and_known_of_a_policy_stays(random_policy):
+    policy = random_policy(Q=1)
+    policy.stiffness_A.requires_grad_(False)
+    policy.info = policy.info._replace(goal=torch.zeros(2, dtype=torch.float64), names=("x", "y"), dt=0.1)
+    new = torchds.recruit(policy, torch.zeros(2, dtype=torch.float64), 0.5)
+    assert {name for name, p in new.named_parameters() if not p.requires_grad} == {"stiffness_A"}
+    assert new.info == policy.info
+
+
 def test_a_recruited_policy_learns_and_comes_back_from_its_state(random_policy):
     policy = torchds.recruit(random_policy(batch=(3,)), torch.zeros(3, 2, dtype=torch.float64), 0.5)
     optim = torchds.optim.PIBB(policy.parameters(), torchds.exploration.Homogeneous(policy), n_rollouts=5)
