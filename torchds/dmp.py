@@ -126,8 +126,8 @@ class DMP(GMRPolicy):
             InvalidArgumentError: always, with what keeps a primitive.
         """
         raise InvalidArgumentError(
-            "a file of a policy has no phase, got a primitive; keep torch.save(primitive.state_dict(), path), and load that into "
-            "one of as many basis functions and dimensions"
+            "a file of a policy has no phase, got a primitive; keep torch.save(primitive.state_dict(), path), and load that "
+            "into one of as many basis functions and dimensions"
         )
 
     # ------------------------------------------------------------------ the forcing term is linear in features
