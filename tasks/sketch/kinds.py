@@ -154,6 +154,8 @@ def option(where: str, value: Any) -> Any:
             raise refused(where, "a name that the training command knows", value, "give a place on the command line")
     elif isinstance(value, float) and not math.isfinite(value):
         raise refused(where, "finite", value)
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        raise refused(where, "a whole number below 2^63 in size", value)
     elif not isinstance(value, (bool, int, float, type(None))):
         raise refused(where, "a name, a number, true, false or null", value)
     return value

@@ -24,6 +24,7 @@ import torch
 sys.path.insert(0, {checkout!r})  # the checkout of torchds, for the packages tasks and train
 
 from train.learning.learner import Learner
+from train.learning.run import distinct
 from train.options import options_for
 
 torch.set_num_threads(1)  # tensors are small: a second thread costs more than it gives
@@ -72,8 +73,9 @@ with torch.no_grad():
         print(f"{{name}} {{float(cost):.6g}}")
 
 # 6. The learner: each update tries some policies beside the present one, and moves it towards those that cost little. All
-#    runs learn at once, each with noise of its own; the cost below is that of a trial without noise.
-learner = Learner(options, task)
+#    runs learn at once, each with noise of its own; where nothing is random, one run stands for all. The cost below is that of
+#    a trial without noise.
+learner = Learner(distinct(options, task), task)
 learner.start()
 while learner.done < learner.n_updates:
     learner.update()

@@ -90,6 +90,20 @@ def said(tmp_path_factory):
     return {tuple(head.split(" ", 1)): body for head, body in parts}
 
 
+def all_of(extra):
+    """The packages that an extra brings, those of extras that it names among them."""
+    found = set()
+    for need in EXTRAS[extra]:
+        name, others = re.match(r"([\w-]+)(?:\[(.*?)\])?", need).groups()
+        found |= set().union(*map(all_of, others.split(","))) if name == "torchds" else {name}
+    return found
+
+
+@pytest.mark.parametrize("extra", ["train", "lasa"])  # the page learns as `train` does, and offers LASA motions
+def test_the_extra_studio_brings_all_that_the_page_needs(extra):
+    assert all_of("studio") >= all_of(extra) | {"nicegui"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("module", "code"), CASES)
 def test_a_hidden_package_is_named_with_its_extra(said, module, code):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from tasks import Task
 from tasks.loading import short
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
@@ -44,6 +45,16 @@ def check(options: RunOptions) -> None:
         raise InvalidArgumentError(
             f"--scale has to be positive and --cost-noise at least 0, got {options.scale} and {options.cost_noise}"
         )
+
+
+def distinct(options: RunOptions, task: Task) -> RunOptions:
+    """Options of as many runs as differ: where nothing is random, one stands for all.
+
+    Args:
+        options: of the runs.
+        task: that they learn.
+    """
+    return options if runs_vary(options, task) else replace(options, runs=1)
 
 
 def run(options: RunOptions, given: Collection[str] | None = None) -> Path:
@@ -93,12 +104,10 @@ def lead(options: RunOptions, given: Collection[str] | None, processes: Processe
         raise InvalidArgumentError(
             "torchrun --max-restarts needs --folder DIR or --resume DIR, so that a restart finds the run that was begun"
         )
-    task = options.make_task()
-    if options.runs > 1 and not runs_vary(options, task):
-        print(
-            f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {options.runs}"
-        )
-        options = replace(options, runs=1)
+    task, runs = options.make_task(), options.runs
+    options = distinct(options, task)
+    if options.runs < runs:
+        print(f"{options.name}: nothing is random with --optimizer {options.optimizer}; one run stands for all {runs}")
     learner = Learner(options, task, wrap=processes.share)
     if options.folder is not None:
         folder = RunFolder(options.folder, "--folder")

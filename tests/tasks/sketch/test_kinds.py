@@ -67,6 +67,7 @@ def test_a_kind_keeps_what_it_takes_and_takes_what_it_kept(kind, value, kept):
         (kinds.options, {"optimizer": "my_file.py:Mine"}, "here.optimizer has to be .* give a place on the command line"),
         (kinds.options, {"mixture": "../a.npz"}, "has to be a name"),
         (kinds.options, {"noise": math.nan}, "has to be finite"),
+        (kinds.options, {"updates": 10**400}, "has to be a whole number below 2.63 in size, got"),
         (kinds.options, {"noise": [1]}, "has to be a name, a number, true, false or null"),
         (kinds.options, 3, "an object of options"),
     ],

@@ -33,6 +33,17 @@ def test_the_script_gives_bit_for_bit_the_policy_of_the_learner(tmp_path):
     assert "update 3 of 3: median cost" in ran.stdout and "via_points" in ran.stdout
 
 
+@pytest.mark.slow
+def test_a_script_makes_one_run_where_nothing_is_random(tmp_path, monkeypatch):
+    replace(FULL, body=None, learners=[{"optimizer": "finite_differences", "runs": 3, "updates": 0}]).write(
+        tmp_path / "a.json"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    exec(compile(script("a.json"), "it.py", "exec"), {})
+    assert load_policy(tmp_path / "a.pt").batch_shape == (1,)
+
+
 @pytest.mark.parametrize("condition", ["none", "seds"])
 @pytest.mark.parametrize("body", [None, {}])
 def test_a_script_explains_what_its_problem_has(condition, body, tmp_path):

@@ -19,8 +19,8 @@ from train.beyond.primitives.figure import draw
 from train.beyond.primitives.rows import Row, Seen
 from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
+from train.learning.run import distinct
 from train.options import LEARNERS, check_seed, options_for
-from train.searchers.named import runs_vary
 from train.statistics import differ, quartiles
 from train.tables import markdown
 
@@ -87,9 +87,7 @@ class Primitives:
         options = options_for(
             "via_point", shape=shape, system=system, runs=self.runs, seed=self.seed, updates=self.updates, **WAYS[way]
         )
-        if not runs_vary(options, task):
-            options.runs = 1
-        learner = Learner(options, task).learn()
+        learner = Learner(distinct(options, task), task).learn()
         terms = {name: np.array(values) for name, values in learner.history.terms.items() if name != "control"}
         return Row(shape, system, way, learner, np.sum(list(terms.values()), 0))
 

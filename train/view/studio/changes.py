@@ -38,18 +38,25 @@ def complete(points: Sequence[Point]) -> None:
 
 
 def recorded(problem: Problem, demos: Demonstrations) -> Fields:
-    """Recorded motions beside what is drawn.
+    """Recorded motions beside what is drawn; of a very long one every second sample or fewer, with its last one.
 
     Raises:
-        InvalidArgumentError: they are not in the plane.
+        InvalidArgumentError: they are not in the plane, or not in the unit of the drawing.
     """
     if demos.dim != 2:
         raise InvalidArgumentError(f"the table is a plane: motions have to have 2 dimensions, got {demos.dim}")
-    longest = max(len(d.x) for d in demos)
-    demos = demos.every(math.ceil(longest / MOST_SAMPLES)) if longest > MOST_SAMPLES else demos
-    rows = [[[i * d.dt, *x] for i, x in enumerate(d.x.tolist())] for d in demos]
-    unit = problem.unit if problem.strokes else demos.units[0]
-    return {"strokes": [*problem.strokes, *rows], "unit": unit}
+    units = list(dict.fromkeys(unit for unit in demos.units if unit))
+    if len(units) > 1:
+        raise InvalidArgumentError(
+            f"motions on the table have to have one unit, got {' and '.join(units)}; scale an axis"
+        )
+    if problem.strokes and problem.unit and units and units != [problem.unit]:
+        raise InvalidArgumentError(
+            f"the drawing is in {problem.unit}, these motions are in {units[0]}; clear the drawing first, or scale the motions"
+        )
+    rows = [[(i * d.dt, *x) for i, x in enumerate(d.x.tolist())] for d in demos]
+    rows = [each[:: -math.ceil(len(each) / MOST_SAMPLES)][::-1] for each in rows]
+    return {"strokes": [*problem.strokes, *rows], "unit": problem.unit if problem.strokes else "".join(units)}
 
 
 def placed(problem: Problem, kind: str, begin: Point, end: Point) -> Fields:

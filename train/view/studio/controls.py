@@ -115,12 +115,10 @@ def rounded(value: float) -> float:
     return int(value) if math.isfinite(value) and value == int(value) else value
 
 
-def select(
-    window: Window, label: str, place: Place, options: Mapping[str, str], usual: Any = None, **ways: Any
-) -> None:
+def select(window: Window, label: str, place: Place, options: Mapping[str, str], usual: Any = None, **ways: Any) -> Any:
     """One of several names."""
     element = ui.select(dict(options), label=label).props("dense options-dense").style("width: 100%")
-    bind(window, element, place, usual, **ways)
+    return bind(window, element, place, usual, **ways)
 
 
 def switch(window: Window, label: str, place: Place, on: Any, off: Any) -> None:

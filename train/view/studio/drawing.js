@@ -8,6 +8,12 @@ const COLOURS = {
 const NEAR = 16; // pixels
 const MOST = 4000; // points of a stroke; of more, every second one goes: a message has to stay below a megabyte
 
+// All multiples of a step from low to high; counted, since beside a large number a small step adds nothing.
+export function multiples(step, low, high) {
+  const first = Math.ceil(low / step), n = Math.floor(high / step) - first + 1;
+  return Array.from({ length: Math.min(n, 1000) || 0 }, (_, i) => (first + i) * step);
+}
+
 export default {
   template: `<canvas tabindex="0" role="img" :aria-label="label"
     style="width: 100%; height: 100%; display: block; touch-action: none; border-radius: 6px"></canvas>`,
@@ -79,7 +85,8 @@ export default {
       const pointer = this.pointer;
       if (!pointer || pointer.id !== event.pointerId) return;
       this.pointer = null;
-      const to = this.at(event), tool = pointer.tool; // it may be another one by now
+      const last = pointer.points[pointer.points.length - 1].slice(1), tool = pointer.tool; // it may be another one by now
+      const to = event.type === "pointercancel" ? last : this.at(event); // what is cancelled is nowhere
       if (tool === "draw") this.$emit("stroke", { points: pointer.points, done: true });
       if (tool === "via") this.$emit("place", { kind: "via", from: to, to });
       if (tool === "wall") this.$emit("place", { kind: "walls", from: pointer.from, to });
@@ -202,11 +209,11 @@ export default {
       const step = power * ([1, 2, 5].find((n) => n * power >= rough) || 10);
       const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
       c.font = "11px sans-serif"; c.fillStyle = "#5b6b7b";
-      for (let x = Math.ceil(left / step) * step; x <= right; x += step) {
+      for (const x of multiples(step, left, right)) {
         line([[x, low], [x, high]], COLOURS.grid, 1);
         c.fillText(x.toFixed(digits), X([x, 0]) + 3, height - 5);
       }
-      for (let y = Math.ceil(low / step) * step; y <= high; y += step) {
+      for (const y of multiples(step, low, high)) {
         line([[left, y], [right, y]], COLOURS.grid, 1);
         c.fillText(y.toFixed(digits), 4, Y([0, y]) - 3);
       }

@@ -10,6 +10,7 @@ from pathlib import Path
 from tasks.sketch import Problem
 from torchds.errors import TorchdsError
 from torchds.files import write_text
+from train.view.studio.side import check_learners
 
 STATE, UNREAD = "state.json", "state.unread.json"
 
@@ -31,7 +32,9 @@ def read(folder: Path) -> tuple[Problem, list[Path | None]] | None:
         return None
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        return Problem.from_json(said["problem"]), [None if run is None else Path(run) for run in said["runs"]]
+        problem = Problem.from_json(said["problem"])
+        check_learners(problem)
+        return problem, [None if run is None else Path(run) for run in said["runs"]]
     except (OSError, ValueError, KeyError, TypeError, TorchdsError):
         path.replace(folder / UNREAD)
         print(f"note: {path} could not be read; it is {folder / UNREAD} now", file=sys.stderr)

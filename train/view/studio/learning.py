@@ -14,9 +14,9 @@ from torch import Tensor
 
 from tasks import Task
 from torchds import GMRPolicy, Rollout
-from train.folder import RunFolder
+from train.folder import CHECKPOINT, RunFolder
 from train.learning.learner import Learner
-from train.learning.run import check
+from train.learning.run import check, distinct
 from train.view.studio.worker import Pipe, said
 
 PICTURES = 40.0  # a second, at most
@@ -94,6 +94,9 @@ class Apprentice:
         options = folder.options()
         check(options)
         task = options.make_task()
+        if not folder.has(CHECKPOINT):
+            options = distinct(options, task)
+            folder.begin(options.task, options.to_json())
         self.paths = watched(task)
         self.learner = Learner(options, task)
         folder.restore(self.learner)

@@ -41,8 +41,8 @@ def said(studio: Studio) -> str:
     elif not studio.problem.strokes:
         parts.append("Draw a motion on the table: press, move, let go.")
     for i, side in enumerate(studio.sides[: len(studio.problem.learners)]):
-        picture = studio.fresh(i)
-        if side.complaint:
+        picture, stale = studio.fresh(i), side.stale(studio.problem)
+        if side.complaint and not stale:
             parts.append(side.complaint)
         if picture is not None:
             cost = picture.curves["total"]
@@ -51,6 +51,6 @@ def said(studio: Studio) -> str:
             )
             if picture.done >= picture.of:
                 parts.append("all updates are made: Reset begins anew")
-        elif side.stale(studio.problem):
+        elif stale:
             parts.append(f"{'AB'[i]} has learned an earlier version of the problem; Go begins anew")
     return " · ".join(parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from tasks.sketch import Problem
 from train.view.studio import keeping
 from train.view.studio.asking import EXECUTIONS, file
 from train.view.studio.controls import LABEL, VALUE, Place, bind, note, number, select
@@ -38,7 +39,11 @@ NUMBERS = {
     "updates": ("updates", 50),
     "seed": ("seed", 0),
 }
-SECOND = {"optimizer": "adam", "updates": 50}  # the learner to compare with, to begin with
+SHRINKS = {
+    "all": "all of it is scaled (the paper)",
+    "direction": "what offends is cut",
+    "none": "as it is: stability may be lost",
+}
 FASTEST = 100.0  # updates a second
 FILES: dict[str, tuple[str, Callable[[Studio], bytes]]] = {
     "Policy": (".pt", keeping.policies),
@@ -70,11 +75,18 @@ def learning(window: Window) -> None:
         second,
         ("learners",),
         into=lambda learners: len(learners) > 1,
-        out=lambda yes: [studio.problem.learners[0], *([SECOND] if yes else [])],
+        out=lambda yes: [studio.problem.learners[0], *([contender(studio.problem)] if yes else [])],
     )
     with ui.column().style("gap: 6px; width: 100%") as column:
         learner(window, 1)
     window.tellers.append(lambda: column.set_visibility(len(studio.problem.learners) > 1))
+
+
+def contender(problem: Problem) -> dict[str, str | int]:
+    """The learner to compare with, to begin with: one with gradients where the trial has them."""
+    if problem.walls:
+        return {"optimizer": "surrogate", "updates": 50}
+    return {"optimizer": "adam", "updates": 50, "shrink": "none"}
 
 
 def hurry(studio: Studio, pace: float) -> None:
@@ -89,13 +101,15 @@ def learner(window: Window, index: int) -> None:
     place: Place = ("learners", index)
     ui.label(f"Learner {'AB'[index]}").style("font-weight: 600")
     select(window, "optimizer", (*place, "optimizer"), OPTIMIZERS, "pibb")
-    select(
+    chosen = select(
         window,
         "exploration",
         (*place, "exploration"),
         EXPLORATIONS,
         into=lambda name: name or ("homogeneous" if window.studio.problem.condition == "none" else "stable"),
     )
+    shrink = select(window, "stable noise", (*place, "shrink"), SHRINKS, "all")
+    shrink.bind_visibility_from(chosen, "value", lambda name: str(name).startswith("stable"))
     with ui.element("div").classes("studio-row"):
         for name, (label, usual) in NUMBERS.items():
             number(window, label, (*place, name), usual, whole=True, min=0, precision=0)

@@ -12,7 +12,7 @@ from tasks.sketch import Problem
 from torchds.errors import TorchdsError
 from train.folder import RunFolder
 from train.learning.run import check
-from train.options import options_class
+from train.options import RunOptions, options_class
 from train.view.studio.learning import Picture, learn
 from train.view.studio.worker import Failed, Worker
 
@@ -24,6 +24,17 @@ def stem(problem: Problem) -> str:
     """Its name, fit for a file: in plain letters, without accents; "drawing" where none are left."""
     plain = unicodedata.normalize("NFKD", problem.name).encode("ascii", "ignore").decode().lower()
     return re.sub(r"[^a-z0-9]+", "_", plain).strip("_") or "drawing"
+
+
+def check_learners(problem: Problem) -> None:
+    """Refuse options of learners as the training command does, before anything of them is shown or run.
+
+    Raises:
+        InvalidArgumentError: a value that an option cannot have.
+        UnknownNameError: an option, or a name in one, that does not exist.
+    """
+    for learner in problem.learners:
+        check(RunOptions.from_json(learner))
 
 
 class Side:
@@ -52,14 +63,12 @@ class Side:
 
     # ------------------------------------------------------------------ what it is asked
 
-    def wanted(self, problem: Problem) -> Problem | None:
-        """The problem with this side's learner alone; None where it has none."""
-        if self.index >= len(problem.learners):
-            return None
+    def wanted(self, problem: Problem) -> Problem:
+        """The problem with this side's learner alone."""
         return replace(problem, learners=(problem.learners[self.index],))
 
     def stale(self, problem: Problem) -> bool:
-        """Whether its run is of another problem, or with other settings; what the problem is called does not matter."""
+        """Whether its run is of another problem, or with other settings or none; what the problem is called does not matter."""
         own = self.problem
         return own is not None and (
             own.learners != problem.learners[self.index : self.index + 1]
@@ -69,13 +78,14 @@ class Side:
     def begin(self, problem: Problem) -> None:
         """Begin anew, paused; the run before stays where it is.
 
+        Args:
+            problem: with a learner for this side.
+
         Raises:
             InvalidArgumentError: options that do not fit; the run before goes on.
             FileError: nothing can be written.
         """
         wanted = self.wanted(problem)
-        if wanted is None:
-            return self.end()
         wanted.demonstrations()  # says what is missing before a folder is made
         learner = wanted.learners[0]
         seed = learner.get("seed")

@@ -20,7 +20,7 @@ from train.view.studio.imitating import Imitation
 from train.view.studio.imitator import Imitator
 from train.view.studio.learning import Picture
 from train.view.studio.pushing import Execution, Pushed
-from train.view.studio.side import Side
+from train.view.studio.side import Side, check_learners
 from train.view.studio.table import TABLE, near, points, seen
 from train.view.studio.worker import Failed
 
@@ -81,7 +81,7 @@ class Studio:
         """Other values for fields of the problem.
 
         Raises:
-            InvalidArgumentError: a value that it cannot have; nothing is changed.
+            InvalidArgumentError, UnknownNameError: a value that it cannot have; nothing is changed.
         """
         self.put(replace(self.problem, **fields))
 
@@ -92,7 +92,12 @@ class Studio:
         self.history.join(tuple(fields), before, self.problem)
 
     def put(self, problem: Problem) -> None:
-        """Another problem, which can be undone."""
+        """Another problem, which can be undone.
+
+        Raises:
+            InvalidArgumentError, UnknownNameError: an option of a learner that the training command would refuse.
+        """
+        check_learners(problem)
         if problem != self.problem:
             self.history.add(self.problem)
             self._set(problem)
@@ -107,10 +112,8 @@ class Studio:
 
     def _set(self, problem: Problem) -> None:
         before, self.problem = self.problem, problem
-        for i, side in enumerate(self.sides):
-            if i >= len(problem.learners):
-                side.end()
-            elif side.running and side.stale(problem):
+        for side in self.sides:
+            if side.running and side.stale(problem):
                 side.pause()
         if replace(before, learners=problem.learners, name=problem.name) != problem:
             self._renewed()

@@ -13,6 +13,7 @@ Window = tuple[float, float, float, float]  # left, right, low, high
 TABLE: Window = (-1.0, 1.0, -0.625, 0.625)
 SMALL = 0.1  # what fills less of the width than this share is looked at from nearer
 FEW = 5  # places that say nothing about size
+FINEST = 1e-9  # width of what is looked at, in units or as a share of the largest coordinate: numbers end there
 
 
 def points(problem: Problem) -> Tensor:
@@ -26,15 +27,24 @@ def points(problem: Problem) -> Tensor:
 
 
 def seen(places: Tensor, before: Window) -> Window:
-    """What is shown of the plane: as before where all `places` `(n, 2)` are in it and fill it, else what they need."""
+    """What is shown of the plane: as before where all `places` `(n, 2)` are in it and fill it, else what they need.
+
+    Few places, as often as they may be there, say nothing about size: they get a usual table around them.
+    """
     if not len(places):
         return TABLE
     size = float((places.amax(0) - places.amin(0)).max())
+    few = len(places.unique(dim=0)) < FEW or size < FINEST * max(1.0, float(places.abs().max()))
     for left, right, low, high in (before, TABLE):
-        inside = bool((places >= torch.tensor([left, low])).all() and (places <= torch.tensor([right, high])).all())
-        if inside and (len(places) < FEW or size >= SMALL * (right - left)):
+        corners = torch.tensor([[left, low], [right, high]], dtype=torch.float64)
+        inside = bool(((places >= corners[0]) & (places <= corners[1])).all())
+        if inside and (few or size >= SMALL * (right - left)):
             return left, right, low, high
     (left, right), (low, high) = plotting.limits(places)
+    if few:
+        x, y = (left + right) / 2, (low + high) / 2
+        left, right = min(left, x + TABLE[0]), max(right, x + TABLE[1])
+        low, high = min(low, y + TABLE[2]), max(high, y + TABLE[3])
     return left, right, low, high
 
 

@@ -72,9 +72,11 @@ class Worker:
         self._beginning.start()  # the first process takes seconds to import everything
 
     def _begin(self, there: Connection) -> None:
-        with contextlib.suppress(EOFError, OSError):  # the page is ended before it began
+        with (
+            there,
+            contextlib.suppress(EOFError, OSError),
+        ):  # the page is ended before it began, or no process is to be had
             self.process.start()
-        there.close()
 
     def tell(self, message: Any) -> None:
         """Send a message; a process that has ended does not hear it, see `answers`."""
@@ -99,6 +101,8 @@ class Worker:
         """Let it go; whatever it is doing, it ends soon."""
         self._beginning.join()
         self.pipe.connection.close()
+        if self.process.pid is None:  # it never began
+            return
         self.process.join(5)
         if self.process.is_alive():
             self.process.kill()

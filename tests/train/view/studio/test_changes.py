@@ -59,6 +59,36 @@ def test_recordings_stand_beside_the_drawing_at_their_own_pace():
     assert first.unit == "mm"
 
 
+@pytest.mark.parametrize(
+    "units, words", [("mm", "the drawing is in m, these motions are in mm; clear"), (("m", "rad"), "m and rad")]
+)
+def test_recordings_in_another_unit_are_refused(units, words):
+    demos = Demonstrations([torch.rand(9, 2)], dt=0.1, units=units)
+    with pytest.raises(InvalidArgumentError, match=words):
+        changes.recorded(drawn.problem(), demos)
+
+
+@pytest.mark.parametrize("drawn_in, recorded_in, kept", [("m", "m", "m"), ("m", "", "m"), ("", "mm", "")])
+def test_where_a_unit_is_not_known_recordings_are_taken(drawn_in, recorded_in, kept):
+    demos = Demonstrations([torch.rand(9, 2)], dt=0.1, units=recorded_in)
+    p = drawn.problem(unit=drawn_in)
+    assert changed(p, changes.recorded(p, demos)).unit == kept
+    empty = drawn.problem(unit="km", strokes=[])
+    assert changed(empty, changes.recorded(empty, demos)).unit == recorded_in
+
+
+def test_a_short_recording_beside_a_long_one_stays_whole():
+    long = torch.stack([torch.linspace(0, 1, 12_001), torch.zeros(12_001)], -1).double()
+    short = torch.stack([torch.linspace(0, 1, 20), torch.ones(20)], -1).double()
+    demos = Demonstrations([long, short], dt=0.001)
+    after = changed(drawn.problem(), changes.recorded(drawn.problem(), demos)).strokes[2:]
+    assert 1000 < len(after[0]) <= 2000 and len(after[1]) == 20
+    for rows, x in zip(after, (long, short), strict=True):
+        times = torch.tensor(rows, dtype=torch.float64)[:, 0]
+        torch.testing.assert_close(torch.tensor(rows).double()[:, 1:], x[(times / 0.001).round().long()])
+        assert rows[-1] == pytest.approx((0.001 * (len(x) - 1), *x[-1].tolist()))
+
+
 def test_a_motion_in_space_is_refused():
     with pytest.raises(InvalidArgumentError, match="2 dimensions, got 3"):
         changes.recorded(drawn.problem(), Demonstrations([torch.rand(9, 3)], dt=0.1))

@@ -22,6 +22,12 @@ def test_what_cannot_be_read_is_put_aside_and_not_lost(tmp_path, capsys, damaged
     assert str(tmp_path / kept.UNREAD) in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("learner", [{"updates": "many"}, {"rollouts": 2.5}, {"updatse": 3}, {"runs": 0}])
+def test_a_learner_that_cannot_be_shown_is_put_aside_too(tmp_path, learner):
+    kept.write(tmp_path, drawn.problem(learners=[learner]), [None, None])
+    assert kept.read(tmp_path) is None and (tmp_path / kept.UNREAD).is_file()
+
+
 def test_it_is_plain_json(tmp_path):
     kept.write(tmp_path, drawn.problem(), [None, None])
     assert json.loads((tmp_path / kept.STATE).read_text())["problem"] == drawn.problem().to_json()

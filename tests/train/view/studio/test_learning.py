@@ -61,6 +61,24 @@ def test_it_learns_what_the_learner_learns_step_by_step_and_with_interruptions(t
     assert set(more[-1].curves) == {"total", *direct.history.terms}
 
 
+@pytest.mark.parametrize("cost_noise, runs", [(0.0, 1), (0.1, 3)])
+def test_where_nothing_is_random_one_run_stands_for_all(tmp_path, cost_noise, runs):
+    begun(tmp_path, learners=[{"optimizer": "finite_differences", "runs": 3, "updates": 60, "cost_noise": cost_noise}])
+    (first,) = served(tmp_path)
+    assert first.policies.batch_shape == (runs,) and RunFolder(tmp_path).options().runs == runs
+    (again,) = served(tmp_path)  # from its checkpoint
+    assert again.policies.pack().equal(first.policies.pack())
+
+
+def test_a_run_of_copies_goes_on_as_it_was_begun(tmp_path):
+    options = begun(tmp_path, learners=[{"optimizer": "finite_differences", "runs": 3, "updates": 60}])
+    learner = Learner(options)
+    learner.start()
+    RunFolder(tmp_path).save_checkpoint(learner)
+    (picture,) = served(tmp_path)
+    assert picture.policies.batch_shape == (3,) and RunFolder(tmp_path).options().runs == 3
+
+
 def test_a_picture_holds_the_trials_and_the_motions(tmp_path):
     begun(tmp_path)
     first, second = served(tmp_path, ("step", None))

@@ -1,6 +1,7 @@
 """The state of the page: changes, undo, what is kept, and what the pointer and time do; workers that answer at once."""
 
 import shutil
+from dataclasses import replace
 from typing import ClassVar
 
 import pytest
@@ -304,35 +305,66 @@ def test_a_changed_problem_stops_a_learner_that_has_said_nothing_yet(studio):
     assert len(Instant.made[1].told) == 2
 
 
-def test_a_second_learner_that_is_switched_off_ends_and_comes_back(tmp_path, studio):
+def test_a_second_learner_that_is_switched_off_pauses_and_comes_back(tmp_path, studio):
     one = studio.problem.learners
     studio.change(learners=[*one, {"optimizer": "adam", "updates": 5}])
     studio.go(30.0)
     Instant.made[2].out.append(picture(studio))
     studio.tick(0.02)
     studio.change(learners=one)
-    assert Instant.made[2].dead and not Instant.made[1].dead and "B" not in words(studio)
+    first, second = Instant.made[1:]
+    assert second.told == [("go", 30.0), ("pause", None)] and not second.dead  # nobody waits for it to end
+    assert first.told == [("go", 30.0)] and studio.fresh(1) is None and "B" not in words(studio)
+    studio.go(20.0)
+    assert second.told[-1] == ("pause", None) and not studio.sides[1].running
     n = len(Instant.made)
     Studio(tmp_path / "studio")
     assert len(Instant.made) == n + 2  # one that imitates, one that learns
     studio.undo()
     assert studio.fresh(1) is not None
     studio.go(30.0)
-    assert Instant.made[-1].arguments == Instant.made[2].arguments and Instant.made[-1].told == [("go", 30.0)]
+    assert len(Instant.made) == n + 2 and second.told[-1] == ("go", 30.0)
 
 
-@pytest.mark.parametrize("learner", [{"seed": "abc"}, {"seed": None}, {"rollouts": 0}, {"optimizer": "newton"}])
-def test_options_that_do_not_fit_leave_the_run_before_as_it_is(tmp_path, studio, learner):
+WRONG = [
+    ({"seed": "abc"}, "option seed cannot be 'abc'; it has to be a whole number"),
+    ({"seed": None}, "option seed cannot be None"),
+    ({"seed": -1}, "got -1"),
+    ({"rollouts": 0}, "at least 1, got 0"),
+    ({"rollouts": 2.5}, "option rollouts cannot be 2.5"),
+    ({"updates": "many"}, "option updates cannot be 'many'"),
+    ({"updatse": 3}, "Did you mean 'updates'"),
+    ({"scale": 0.0}, "--scale has to be positive"),
+    ({"optimizer": "newton"}, "unknown optimizer 'newton'"),
+]
+
+
+@pytest.mark.parametrize("learner, said", WRONG)
+def test_options_of_a_learner_that_do_not_fit_are_refused_and_change_nothing(tmp_path, studio, learner, said):
     studio.go(30.0)
     Instant.made[1].out.append(picture(studio))
     studio.tick(0.02)
     folder, folders = studio.sides[0].folder, sorted(tmp_path.rglob("problem.json"))
-    studio.change(learners=[learner])
+    wrong = replace(studio.problem, learners=[learner])
+    with pytest.raises((InvalidArgumentError, UnknownNameError), match=said):
+        studio.put(wrong)
     with pytest.raises((InvalidArgumentError, UnknownNameError)):
-        studio.go(30.0)
+        studio.change(learners=[*studio.problem.learners, learner])
+    with pytest.raises((InvalidArgumentError, UnknownNameError)):
+        studio.sides[0].begin(wrong)
+    assert studio.problem == drawn.problem() and studio.fresh(0) is not None
     assert studio.sides[0].folder == folder and sorted(tmp_path.rglob("problem.json")) == folders
+
+
+def test_what_was_wrong_with_an_earlier_problem_is_not_said_of_this_one(studio):
+    studio.go(30.0)
+    Instant.made[1].out.append(Failed("--optimizer adam cannot do this"))
+    studio.tick(0.02)
+    assert "adam cannot" in words(studio)
+    studio.change(via_points=[])
+    assert "adam cannot" not in words(studio) and "earlier version" in words(studio)
     studio.undo()
-    assert studio.fresh(0) is not None
+    assert "adam cannot" in words(studio)
 
 
 def test_when_all_updates_are_made_it_is_said(studio):

@@ -30,6 +30,32 @@ def test_other_lengths_get_a_table_that_holds_all_of_them_and_stays(scale):
     assert seen(torch.zeros(0, 2), window) == TABLE
 
 
+FIVE = [[2e5, 3e5], [2e5, 3e5 + 1e-9], [2e5 + 1e-9, 3e5], [2e5 + 2e-9, 3e5], [2e5, 3e5 + 2e-9]]
+
+
+@pytest.mark.parametrize(
+    "places", [[[5.0, 0.0]], [[5.0, 0.0]] * 7, [[5.0, 0.0], [5.0, 1e-9]], [[2e5, 3e5], [2e5, 3e5 + 1e-7]], FIVE]
+)
+def test_few_places_and_those_on_top_of_each_other_have_a_usual_table_around_them(places):
+    places = torch.tensor(places, dtype=torch.float64)
+    window = seen(places, TABLE)
+    left, right, low, high = window
+    assert (right - left, high - low) == pytest.approx((2.0, 1.25), abs=1e-6)
+    assert ((left + right) / 2, (low + high) / 2) == pytest.approx(places.mean(0).tolist(), abs=1e-6)
+    assert seen(places, window) == window
+
+
+def test_places_on_top_of_each_other_do_not_move_the_table():
+    assert seen(torch.zeros(7, 2).double(), TABLE) == TABLE
+    before = (10.0, 50.0, -5.0, 20.0)
+    assert seen(torch.tensor([[30.0, 0.0]] * 9).double(), before) == before
+
+
+def test_few_places_far_apart_are_all_on_the_table():
+    left, right, low, high = seen(torch.tensor([[0.0, 0.0], [500.0, 3.0]]).double(), TABLE)
+    assert left < 0 and right > 500 and low < 0 and high > 3 and right - left < 700
+
+
 def test_a_wide_table_shows_more_beside_and_a_high_one_above():
     for shape in (0.5, 1.6, 4.0):
         left, right, low, high = widened(TABLE, shape)

@@ -1,5 +1,6 @@
 """Processes beside the page: they answer, and none is left behind."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -66,6 +67,18 @@ def test_a_process_that_is_busy_is_left_without_waiting():
     worker.leave()
     assert time.monotonic() - began < 1
     until(lambda: not running(worker.process.pid))
+
+
+def test_a_process_that_never_began_is_one_that_has_ended(monkeypatch):
+    def start(self):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(multiprocessing.context.ForkServerProcess, "start", start)
+    worker = Worker(imitate)
+    until(lambda: worker.answers() is None)
+    worker.tell((1, drawn.problem()))
+    worker.end()
+    worker.end()
 
 
 ORPHANS = """
