@@ -50,9 +50,7 @@ class Motion(Node):
     def __init__(self):
         super().__init__("torchds_motion")
         self.declare_parameter("policy", "policy.pt")
-        self.declare_parameter(
-            "goal", [1.0, 0.0, 0.0, 0.0]
-        )  # q*, the scalar first, as last_orientation has it by default
+        self.declare_parameter("goal", [1.0, 0.0, 0.0, 0.0])  # q*, scalar first, as last_orientation has it by default
         self.declare_parameter("frame", "base_link")
         self.declare_parameter("feedback", False)
         self.declare_parameter("max_speed", 0.25)  # of the policy's own bounds; the robot has to have its own

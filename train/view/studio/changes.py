@@ -48,7 +48,7 @@ def recorded(problem: Problem, demos: Demonstrations) -> Fields:
     units = list(dict.fromkeys(unit for unit in demos.units if unit))
     if len(units) > 1:
         raise InvalidArgumentError(
-            f"motions on the table have to have one unit, got {' and '.join(units)}; scale an axis"
+            f"both axes of the table have one unit, got {' and '.join(units)}; scale one of them"
         )
     if problem.strokes and problem.unit and units and units != [problem.unit]:
         raise InvalidArgumentError(

@@ -72,10 +72,7 @@ class Worker:
         self._beginning.start()  # the first process takes seconds to import everything
 
     def _begin(self, there: Connection) -> None:
-        with (
-            there,
-            contextlib.suppress(EOFError, OSError),
-        ):  # the page is ended before it began, or no process is to be had
+        with there, contextlib.suppress(EOFError, OSError):  # the page has ended, or there is no process to be had
             self.process.start()
 
     def tell(self, message: Any) -> None:
