@@ -119,12 +119,14 @@ def resting(x: Tensor) -> tuple[int, int]:
 def jumps(x: Tensor) -> list[int]:
     """The rows of `x` `(T, D)` after which it goes on somewhere else."""
     steps = torch.linalg.vector_norm(x.diff(dim=0), dim=-1)
+    moving = steps.nonzero().flatten()  # where a slow sensor repeats its last value, every other step would be a jump
+    steps = steps[moving]
     if len(steps) < 4:
         return []
     usual = steps.quantile(0.75)
     before, after = F.pad(steps[:-1], (1, 0)), F.pad(steps[1:], (0, 1))
     around = torch.maximum(before, after)
-    found: list[int] = (steps > JUMP * torch.maximum(around, usual)).nonzero().flatten().tolist()
+    found: list[int] = moving[steps > JUMP * torch.maximum(around, usual)].tolist()
     return found
 
 

@@ -219,7 +219,7 @@ def resample(
     if len(t) != len(x):
         raise InvalidDemonstrationsError(f"demonstration {i} has {len(x)} positions, got {len(t)} times for them")
     if drop and len(t):
-        keep = np.concatenate([[True], np.diff(t) > 0])
+        keep = np.concatenate([[True], t[1:] > np.fmax.accumulate(t)[:-1]])
         if not keep.all():
             warnings.warn(
                 f"demonstration {i}: {int((~keep).sum())} sample(s) whose time does not rise are dropped",

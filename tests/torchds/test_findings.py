@@ -74,6 +74,13 @@ def test_two_motions_in_one_are_found_at_their_seam():
     assert finding.row == 199 and finding.call == "split()" and jumps(both) == [199]
 
 
+def test_a_sensor_that_holds_its_last_value_does_not_jump():
+    x, _ = reach()
+    held = x.repeat_interleave(10, 0)
+    assert not jumps(held)
+    assert jumps(torch.cat([held, held + 0.02])) == [len(held) - 1]
+
+
 @pytest.mark.parametrize("turn", [2 * math.pi, 360.0])
 def test_an_angle_that_wraps_is_no_jump(turn):
     angle = torch.linspace(0, 1.2, 200, dtype=torch.float64)[:, None] * turn * 0.6

@@ -81,6 +81,9 @@ def test_samples_at_one_time_are_dropped_on_request():
     twice = torch.cat([t[:10], t[9:]])
     (d,) = Demonstrations.from_samples([twice], [circle(twice)[0]], duplicates="drop")
     assert len(d.x) == 30 and (d.x - circle(t)[0]).abs().max() < 1e-9
+    back = torch.cat([t[:20], t[15:]])  # five samples after the twentieth are older than it
+    (d,) = Demonstrations.from_samples([back], [circle(back)[0]], duplicates="drop")
+    assert len(d.x) == 30 and (d.x - circle(t)[0]).abs().max() < 1e-9
 
 
 @pytest.mark.parametrize(

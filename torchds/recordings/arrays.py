@@ -13,7 +13,7 @@ import numpy as np
 from torchds.errors import FileError, InvalidArgumentError
 from torchds.recordings.clock import EVEN, seconds
 from torchds.recordings.parts import ALIKE, Record, fitted_step, split
-from torchds.recordings.reading import Column, Reading, several
+from torchds.recordings.reading import Reading, several
 
 
 def apart(where: str, record: Record, how: Reading) -> list[Record]:
@@ -99,17 +99,17 @@ def upright(where: str, record: Record, how: Reading, *, longer: bool, dim: int 
 
 
 def chosen(where: str, record: Record, how: Reading) -> Record:
-    """The record of a matrix whose columns the arguments tell apart by their numbers.
+    """The record of a matrix whose columns the arguments tell apart by their numbers, without what is said to be none.
 
     Raises:
         FileError: a column that is not there, or a first column that rises evenly, as a clock does.
     """
     said = {field: several(how.get(name)) for field, name in FIELDS.items()}  # type: ignore[arg-type]
     columns = {field: names for field, names in said.items() if names and all(isinstance(c, int) for c in names)}
-    x = record["x"]
-    if not columns or x.ndim != 2:
+    record = {field: value for field, value in record.items() if said.get(field) != []}
+    x, ignored = record["x"], [c for c in several(how.get("ignore")) or [] if isinstance(c, int)]
+    if not (columns or ignored) or x.ndim != 2:
         return record
-    ignored = several(how.get("ignore")) or []
     used = [c for names in columns.values() for c in names] + ignored
     if strangers := [c for c in used if c not in range(x.shape[1])]:
         raise FileError(f"{where}: columns have to be 0 to {x.shape[1] - 1}, got {strangers}")
@@ -189,7 +189,20 @@ def place(path: Path, i: int) -> str:
     return f"{path}: demonstration {i}"
 
 
-def names_said(how: Reading) -> dict[str, list[Column]]:
+def names_said(how: Reading) -> dict[str, list[str]]:
     """The fields of files that the arguments name."""
     said = {field: several(how.get(name)) for field, name in FIELDS.items()}  # type: ignore[arg-type]
-    return {field: names for field, names in said.items() if names and all(isinstance(c, str) for c in names)}
+    return {field: names for field, names in said.items() if names and all(isinstance(c, str) for c in names)}  # type: ignore[misc]
+
+
+def by_name(arrays: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> list[Record]:
+    """The records of arrays that were named for each field: several vectors are the columns of one, else each is one."""
+    named = {field: [arrays[name] for name in each] for field, each in names.items()}
+    vectors = [np.ravel(values) for values in named.get("x", []) if values.size == max(values.shape, default=0)]
+    if len(vectors) == len(named.get("x", [])) > 1 and len({len(values) for values in vectors}) == 1:
+        columns = {
+            field: np.stack([np.ravel(v) for v in values], -1) for field, values in named.items() if field != "t"
+        }
+        return [columns | ({"t": np.ravel(named["t"][0])} if "t" in named else {})]
+    n = max(map(len, named.values()))
+    return [{field: values[i] for field, values in named.items() if i < len(values)} for i in range(n)]

@@ -31,7 +31,7 @@ def seconds(where: str, stamps: np.ndarray, unit: str | None, *, whole: bool = F
 
     Args:
         where: the file, for messages.
-        stamps: floats, or whole numbers of any size as Python's.
+        stamps: floats, or whole numbers of any size as Python's, None where one is missing.
         unit: of the stamps; None to take seconds, unless their size says something else.
         whole: whether the file writes whole numbers, of which seconds are not taken for granted.
 
@@ -41,12 +41,13 @@ def seconds(where: str, stamps: np.ndarray, unit: str | None, *, whole: bool = F
     if unit is None:
         unit = _unit_by_size(where, stamps, whole)
     if stamps.dtype == object:  # differences of whole numbers are exact, their floats are not
-        return np.array([int(stamp - stamps[0]) for stamp in stamps], dtype=float) * UNITS[unit]
+        first = next((stamp for stamp in stamps if stamp is not None), 0)
+        return np.array([np.nan if each is None else int(each - first) for each in stamps], dtype=float) * UNITS[unit]
     return stamps.astype(float) * UNITS[unit]
 
 
 def _unit_by_size(where: str, stamps: np.ndarray, whole: bool) -> str:
-    values = np.array([float(stamp) for stamp in stamps])
+    values = np.array([np.nan if stamp is None else float(stamp) for stamp in stamps])
     values = values[np.isfinite(values)]
     steps = np.abs(np.diff(values))
     if not len(steps) or not (usual := float(np.median(steps))) > 0:

@@ -141,7 +141,7 @@ def _kind(words: Sequence[str], unit: str) -> Kind:
         last.isdigit() and len(words) > 1 and re.sub(r"\d+$", "", words[-2]) in POSITIONS
     ):
         return "position"
-    return "position" if seen & {"position", "positions", "pos", "joint", "angle"} else "unknown"
+    return "unknown"
 
 
 def base_names(words: Sequence[str], glued_only: bool = False) -> list[str]:

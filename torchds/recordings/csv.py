@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Unpack
 
@@ -17,11 +17,11 @@ from torchds.demonstrations import Demonstrations
 from torchds.errors import DemonstrationWarning, FileError, InvalidArgumentError
 from torchds.files import existing
 from torchds.recordings.base import from_records
-from torchds.recordings.clock import seconds
+from torchds.recordings.clock import UNITS, seconds
 from torchds.recordings.columns import Named, named, time_unit
 from torchds.recordings.layout import Layout, layout
 from torchds.recordings.parts import Record, by_number, split
-from torchds.recordings.reading import ARRAYS, Reading, check, said
+from torchds.recordings.reading import ARRAYS, Reading, check, is_column, said
 from torchds.recordings.text import Text, is_missing, is_number, read_text
 
 WANTED = ("time", "position", "velocity", "stiffness")
@@ -52,7 +52,7 @@ def load_csv(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -
     records: list[Record] = []
     places: list[str] = []
     first: list[str] | None = None
-    order: list[str] = []
+    order: dict[str, list[str]] = {}
     for path in files:
         text = read_text(path)
         header = names_of(path, text, how)
@@ -65,9 +65,8 @@ def load_csv(paths: str | Path | Sequence[str | Path], **how: Unpack[Reading]) -
             )
         columns = [named(name) for name in header]
         chosen = _layout(path, text, header, columns, how)
-        if len(files) > 1 and path != files[0] and how.get("positions") is None:
-            chosen = _in_order(chosen, header, order)
-        order = [header[i] for i in chosen.x]
+        chosen = _in_order(path, chosen, header, order, how) if order else chosen
+        order = order or {field: [header[i] for i in getattr(chosen, field)] for field in ("x", "v", "stiffness")}
         parts = _records(path, text, header, columns, chosen, how)
         records += parts
         places += [f"{path}: demonstration {i}" if len(parts) > 1 else str(path) for i in range(len(parts))]
@@ -83,10 +82,26 @@ def _names(columns: Sequence[Named], chosen: Layout) -> list[str]:
     return [columns[i].name for i in chosen.x]
 
 
-def _in_order(chosen: Layout, header: Sequence[str], order: Sequence[str]) -> Layout:
-    """The layout with its positions in the order of the first file."""
-    places = [[header[i] for i in chosen.x].index(name) for name in order]
-    return chosen._replace(x=[chosen.x[p] for p in places], v=[chosen.v[p] for p in places] if chosen.v else [])
+def _in_order(
+    path: Path, chosen: Layout, header: Sequence[str], first: Mapping[str, list[str]], how: Reading
+) -> Layout:
+    """The layout with its columns in the order of those of the first file, but for what the arguments say.
+
+    Raises:
+        FileError: they are other columns.
+    """
+    for field, said_by in (("x", ("positions",)), ("v", ("positions", "velocities")), ("stiffness", ("stiffness",))):
+        if said(how, *said_by):
+            continue
+        names = [header[i] for i in getattr(chosen, field)]
+        if set(names) != set(first[field]):
+            raise FileError(
+                f"{path}: {field} is read from {', '.join(names) or 'no column'}, in the file before from "
+                f"{', '.join(first[field]) or 'none'}; say which are meant, "
+                f"{said_by[-1]}=({', '.join(map(repr, first[field]))}), or read the files apart"
+            )
+        chosen = chosen._replace(**{field: [header.index(name) for name in first[field]]})  # type: ignore[arg-type]
+    return chosen
 
 
 def names_of(path: Path, text: Text, how: Reading) -> list[str]:
@@ -126,7 +141,7 @@ def _layout(path: Path, text: Text, header: list[str], columns: list[Named], how
             f"separated by {text.form})"
         )
     chosen = layout(path, columns, header, usable, how)
-    if chosen.demo is not None and not isinstance(how.get("split"), str):
+    if chosen.demo is not None and not is_column(how.get("split")):
         numbers = text.numbers(chosen.demo)
         if np.count_nonzero(np.diff(numbers)) > len(numbers) / 2:  # another one in nearly every row: a counter
             chosen = chosen._replace(demo=None, left_out=chosen.left_out | {header[chosen.demo]: "counter"})
@@ -193,11 +208,17 @@ def _clock(
     if len(numbers) == 2:
         whole, rest = (text.whole(i) for i in numbers)
         if whole is not None and rest is not None and unit is None:
-            return seconds(str(path), whole * 10**9 + rest, "ns")
+            both = [None if a is None or b is None else a * 10**9 + b for a, b in zip(whole, rest, strict=True)]
+            return seconds(str(path), np.array(both, dtype=object), "ns")
         return text.numbers(numbers[0]) + 1e-9 * text.numbers(numbers[1])
     stamps = text.whole(numbers[0])
     if unit is None:
         unit = time_unit(columns[numbers[0]])
+        if unit is None and (unknown := columns[numbers[0]].unit):
+            raise FileError(
+                f"{path}: the unit of the column {columns[numbers[0]].name!r} is {unknown!r}; pass time_unit= one of "
+                f"{', '.join(map(repr, UNITS))}"
+            )
     values = text.numbers(numbers[0]) if stamps is None else stamps
     return seconds(f"{path}: column {columns[numbers[0]].name!r}", values, unit, whole=stamps is not None)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from torchds.errors import FileError, UnknownNameError
 from torchds.recordings.columns import AXES, Named, base_names, rank
-from torchds.recordings.reading import Column, Columns, Reading, several
+from torchds.recordings.reading import Column, Columns, Reading, is_column, several
 
 
 class Layout(NamedTuple):
@@ -65,7 +65,7 @@ def layout(
 
     ignored = given(how.get("ignore")) or []
     split = how.get("split")
-    demo = find(split) if isinstance(split, str) else None
+    demo = find(split) if is_column(split) else None
     x, v, s = (given(how.get(name)) for name in ("positions", "velocities", "stiffness"))  # type: ignore[arg-type]
     t = None if how.get("time") is None else [find(how["time"])]  # type: ignore[arg-type]
     taken = {*ignored, *(x or []), *(v or []), *(s or []), *(t or []), *([] if demo is None else [demo])}

@@ -13,7 +13,17 @@ import numpy as np
 
 from torchds.demonstrations import Demonstrations
 from torchds.errors import FileError, UnknownNameError
-from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright, with_halves, without_clock
+from torchds.recordings.arrays import (
+    apart,
+    by_name,
+    chosen,
+    finished,
+    names_said,
+    place,
+    upright,
+    with_halves,
+    without_clock,
+)
 from torchds.recordings.base import Recorded, canonical, group, together
 from torchds.recordings.matlab import read_variables
 from torchds.recordings.parts import Record
@@ -60,7 +70,8 @@ def in_variables(path: Path, contents: Mapping[str, Any], how: Reading) -> Recor
     shared = shared if isinstance(shared, np.ndarray) and shared.dtype.kind in "fiu" else None
     if bare:
         without_clock(str(path), turned, how)
-        turned = [chosen(place(path, i), record, how) for i, record in enumerate(turned)]
+    turned = [chosen(place(path, i), record, how) for i, record in enumerate(turned)]
+    if bare:
         turned = with_halves(turned, _steps(len(turned), shared, how), how)
     records = [part for i, record in enumerate(turned) for part in finished(place(path, i), record, how)]
     return Recorded(path, records, shared)
@@ -78,8 +89,7 @@ def _records(path: Path, contents: Mapping[str, Any], how: Reading) -> tuple[lis
 
     Cells and structs come before arrays by name, these before any matrix.
     """
-    said = {field: str(names[0]) for field, names in names_said(how).items()}
-    if said:
+    if said := names_said(how):
         return _by_name(path, contents, said), False
     usable = {key: records for key, value in contents.items() if (records := _cells(value))}
     nested = {key: records for key, records in usable.items() if not isinstance(contents[key], np.ndarray)}
@@ -114,27 +124,27 @@ def _likeliest(fields: list[str]) -> str:
     return (sounding or fields)[0]
 
 
-def _by_name(path: Path, contents: Mapping[str, Any], said: Mapping[str, str]) -> list[Record]:
-    """The records of all structs, at any depth, that have the fields that were named; else that of the variables."""
+def _by_name(path: Path, contents: Mapping[str, Any], said: Mapping[str, list[str]]) -> list[Record]:
+    """The records of all structs, at any depth, that have the fields that were named; else those of the variables."""
     structs = [struct for value in contents.values() for struct in _structs(value)]
-    found = [record for struct in structs if "x" in (record := _renamed(struct, said))]
-    if not found and "x" in (record := _renamed(contents, said)):
-        found = [record]
+    found = [record for struct in structs for record in _renamed(struct, said)] or _renamed(contents, said)
+    names = [name for each in said.values() for name in each]
     if not found:
         known = sorted({name for struct in structs for name in struct} | set(contents))
-        absent = [name for name in said.values() if name not in known]
-        raise UnknownNameError(f"field in {path.name}", (absent or list(said.values()))[0], known)
+        raise UnknownNameError(f"field in {path.name}", next((n for n in names if n not in known), names[0]), known)
     for i, record in enumerate(found):
-        if missing := [name for field, name in said.items() if field not in record]:
+        if missing := [each[0] for field, each in said.items() if field not in record]:
             raise FileError(f"{place(path, i)} has no field {missing[0]!r} beside its positions")
     return found
 
 
-def _renamed(struct: Mapping[str, Any], said: Mapping[str, str]) -> Record:
-    """The arrays of a struct under the names x, v, stiffness, t, dt: as the arguments say, else by their usual names."""
+def _renamed(struct: Mapping[str, Any], said: Mapping[str, list[str]]) -> list[Record]:
+    """The records of a struct, its arrays as x, v, stiffness, t, dt: as the arguments say, else by their usual names."""
     arrays = {key: value for key, value in struct.items() if isinstance(value, np.ndarray)}
     usual = {field: value for field, value in canonical(arrays).items() if field not in said}
-    return {**usual, **{field: arrays[name] for field, name in said.items() if name in arrays}}
+    there = {field: each for field, names in said.items() if (each := [name for name in names if name in arrays])}
+    found = [{**usual, **record} for record in by_name(arrays, there)] if there else [usual]
+    return [record for record in found if "x" in record]
 
 
 def _structs(value: Any) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from typing import Unpack
 from torchds.demonstrations import Demonstrations
 from torchds.errors import FileError, UnknownNameError
 from torchds.files import read_npz
-from torchds.recordings.arrays import apart, chosen, finished, names_said, place, upright
+from torchds.recordings.arrays import apart, by_name, chosen, finished, names_said, place, upright
 from torchds.recordings.base import Recorded, canonical, group, together
 from torchds.recordings.parts import Record
 from torchds.recordings.reading import Reading, check
@@ -44,11 +44,8 @@ def recorded(path: str | Path, how: Reading) -> Recorded:
     if said := names_said(how):
         for name in (name for names in said.values() for name in names):
             if name not in arrays:
-                raise UnknownNameError(f"array in {path.name}", str(name), arrays)
-        n = max(len(names) for names in said.values())
-        raw: list[Record] = [
-            {field: arrays[str(names[i])] for field, names in said.items() if i < len(names)} for i in range(n)
-        ]
+                raise UnknownNameError(f"array in {path.name}", name, arrays)
+        raw: list[Record] = by_name(arrays, said)
     else:
         raw = [canonical({alias: arrays[key] for alias, key in keys.items()}) for keys in group(arrays)]
     if not raw:

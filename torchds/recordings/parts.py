@@ -105,7 +105,7 @@ def without_padding(where: str, record: Record) -> Record:
     end = int(moved[-1]) + 1 if len(moved) else 0
     if 4 < end < len(x) - 1 and np.isfinite(x).all():
         steps = np.linalg.norm(np.diff(x[:end], axis=0), axis=-1)
-        if np.linalg.norm(x[end - 1]) > findings.JUMP * max(steps[-1], np.quantile(steps, 0.75)):
+        if np.linalg.norm(x[end - 1]) > findings.JUMP * max(steps[-1], _usual(steps)):
             _say(f"{where}: the last {len(x) - end} of {len(x)} rows are zero behind a jump and are taken as padding")
             record = rows(record, slice(0, end))
     return record
@@ -119,12 +119,18 @@ def fitted_step(x: np.ndarray, v: np.ndarray) -> float | None:
         return None
     change = (x[2:] - x[:-2]) / 2
     lengths = np.linalg.norm(np.diff(x, axis=0), axis=-1)
-    jump = lengths > findings.JUMP * np.quantile(lengths, 0.75)  # several demonstrations in one
+    jump = lengths > findings.JUMP * _usual(lengths)  # several demonstrations in one
     change, v = change[~(jump[1:] | jump[:-1])], v[~(jump[1:] | jump[:-1])]
     size = float((v * v).sum())
     step = float((change * v).sum()) / size if 0 < size < np.inf else 0.0
     alike = step > 0 and np.linalg.norm(change - step * v) < ALIKE * np.linalg.norm(change)
     return step if alike else None
+
+
+def _usual(steps: np.ndarray) -> float:
+    """The upper quartile of the steps that move."""
+    moving = steps[steps > 0]
+    return float(np.quantile(moving, 0.75)) if len(moving) else 0.0
 
 
 def _say(text: str) -> None:

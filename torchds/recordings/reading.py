@@ -6,7 +6,7 @@ Stability: stable.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Literal, TypedDict
+from typing import Literal, TypedDict, TypeGuard
 
 from torchds.arrays import check_positive
 from torchds.errors import InvalidArgumentError, UnknownNameError
@@ -50,7 +50,7 @@ class Reading(TypedDict, total=False):
     units: str | Sequence[str] | None
     resample: bool | float
     duplicates: Literal["refuse", "drop"]
-    split: bool | str | None
+    split: bool | Column | None
     variable: str | None
     time_axis: int | None
     demo_axis: int | None
@@ -83,11 +83,20 @@ def check(how: Reading, without: Collection[str] = ()) -> None:
             raise InvalidArgumentError(
                 f"{name} has to be 0 (samples are rows), 1 (samples are columns) or, of three axes, 2; got {axis!r}"
             )
+    if not set(ARRAYS) <= set(without) and is_column(how.get("split")):
+        raise InvalidArgumentError(
+            f"split has to be True or False where demonstrations are arrays, which have no column, got {how['split']!r}"
+        )
     step = how.get("resample", False)
     if not isinstance(step, bool):
         if not isinstance(step, (int, float)):
             raise InvalidArgumentError(f"resample has to be True, False or a time step in seconds, got {step!r}")
         check_positive("resample", step)
+
+
+def is_column(split: bool | Column | None) -> TypeGuard[Column]:
+    """Whether an argument names a column, or gives its number."""
+    return isinstance(split, (str, int)) and not isinstance(split, bool)
 
 
 def several(columns: Columns | None) -> list[Column] | None:

@@ -52,11 +52,11 @@ class Text(NamedTuple):
         return any(not is_number(row[column]) and not is_missing(row[column]) for row in self.cells)
 
     def whole(self, column: int) -> np.ndarray | None:
-        """The column as whole numbers of any size, if it is written so."""
+        """The column as whole numbers of any size, None where one is missing, if it is written so."""
         cells = [row[column].strip() for row in self.cells]
-        if not all(WHOLE.fullmatch(cell) for cell in cells):
+        if not all(WHOLE.fullmatch(cell) or is_missing(cell) for cell in cells):
             return None
-        return np.array([int(cell) for cell in cells], dtype=object)
+        return np.array([None if is_missing(cell) else int(cell) for cell in cells], dtype=object)
 
 
 def is_number(cell: str) -> bool:

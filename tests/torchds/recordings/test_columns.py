@@ -38,7 +38,19 @@ KINDS = {
     "force": ["fx", "force_x [N]", "wrench.torque.z", "tau1", "effort0"],
     "quaternion": ["qx", "qw", "orientation.w", "quat_1"],
     "stiffness": ["stiffness", "stiffness [N/m]", "s_1", "stiffness_x"],
-    "unknown": ["foo", "phase", "joint_name", "", "m_2"],
+    "unknown": [
+        "foo",
+        "phase",
+        "joint_name",
+        "",
+        "m_2",
+        "joint1_temperature",
+        "position_error",
+        "pos_std",
+        "joint_mode",
+        "angle_offset",
+        "position_valid",
+    ],
 }
 
 

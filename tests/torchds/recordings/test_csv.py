@@ -102,3 +102,51 @@ def test_csv_refuses_mixed_missing_and_unreadable_files(tmp_path):
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81")
     with refuses(FileError, "b.csv: not a text file"):
         load(tmp_path / "b.csv")
+
+
+def lines(header, rows):
+    return header + "\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+
+
+@pytest.mark.parametrize("hole", [(), (20,), (49,)])
+def test_whole_milliseconds_are_not_taken_for_seconds_where_a_row_is_missing(tmp_path, hole):
+    rows = [(10 * i, i * i, i) if i not in hole else ("nan",) * 3 for i in range(50)]
+    path = tmp_path / "a.csv"
+    path.write_text(lines("t,x,y", rows))
+    with refuses(FileError, "whole numbers whose unit cannot be told", "time_unit="):
+        load(path, resample=True)
+    assert load(path, resample=True, time_unit="ms").dt == pytest.approx((0.01,))
+
+
+def test_a_unit_of_time_that_is_not_known_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(lines("time [h],x", [(1e-4 * i, i) for i in range(5)]))
+    with refuses(FileError, "'time' is 'h'", "time_unit="):
+        load(path)
+    assert load(path, time_unit="s").dt == pytest.approx((1e-4,))
+
+
+@pytest.mark.parametrize("how", [{}, {"positions": ("x", "y")}])
+def test_files_with_columns_in_another_order_are_read_as_the_first(tmp_path, how):
+    (tmp_path / "a.csv").write_text(
+        lines("t,x,y,stiffness_x,stiffness_y", [(0.1 * i, i, 2 * i, 100, 900) for i in range(5)])
+    )
+    (tmp_path / "b.csv").write_text(
+        lines("t,y,x,stiffness_y,stiffness_x", [(0.1 * i, 2 * i, i, 900, 100) for i in range(5)])
+    )
+    a, b = load(tmp_path, **how)
+    assert torch.equal(a.x, b.x) and torch.equal(a.stiffness, b.stiffness)
+
+
+@pytest.mark.parametrize("names", ["ab", "ba"])
+def test_a_column_that_is_empty_in_one_file_is_not_left_out_silently(tmp_path, names):
+    (tmp_path / "a.csv").write_text(lines("t,x,y,z", [(0.1 * i, i, 2 * i, 3 * i) for i in range(5)]))
+    (tmp_path / "b.csv").write_text(lines("t,x,y,z", [(0.1 * i, i, 2 * i, "") for i in range(5)]))
+    with refuses(FileError, "x is read from", "say which are meant, positions=("):
+        load([tmp_path / f"{name}.csv" for name in names])
+
+
+def test_a_column_by_number_counts_demonstrations_where_there_is_no_header(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("".join(f"{demo},{i},{2 * i}\n" for demo in (0, 1) for i in range(5)))
+    assert len(load(path, positions=(1, 2), split=0, dt=0.1)) == 2

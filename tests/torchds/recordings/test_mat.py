@@ -123,3 +123,19 @@ def test_mat_of_version_73_says_how_to_save_it(tmp_path):
     (tmp_path / "a.mat").write_bytes(header + bytes(400))
     with refuses(FileError, "MATLAB 7.3", "-v7"):
         load_mat(tmp_path / "a.mat")
+
+
+def test_mat_several_names_are_demonstrations_or_the_columns_of_one(tmp_path):
+    X, path = np.random.default_rng(0).normal(size=(20, 2)), tmp_path / "a.mat"
+    scipy.io.savemat(path, {"first": X, "second": 2 * X, "px": X[:, :1], "py": X[:, 1:]})
+    assert [d.x.tolist() for d in load(path, positions=("first", "second"), dt=0.1)] == [X.tolist(), (2 * X).tolist()]
+    (demo,) = load(path, positions=("px", "py"), dt=0.1)
+    assert demo.x.tolist() == X.tolist()
+
+
+def test_mat_columns_by_number_in_structs_and_matrices(tmp_path):
+    t, X, path = 0.1 * np.arange(20.0)[:, None], np.random.default_rng(0).normal(size=(20, 2)), tmp_path / "a.mat"
+    scipy.io.savemat(path, {"s": {"x": np.concatenate([t, X], 1)}})
+    assert load(path, positions=(1, 2), time=0)[0].x.tolist() == X.tolist()
+    scipy.io.savemat(path, {"m": np.concatenate([t, X], 1)})
+    assert load(path, ignore=0, dt=0.1)[0].x.tolist() == X.tolist()

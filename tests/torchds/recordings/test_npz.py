@@ -4,7 +4,7 @@ import torch
 
 from tests.motions import equal, refuses, sine, two
 from torchds.demonstrations import Demonstrations
-from torchds.errors import FileError
+from torchds.errors import FileError, InvalidArgumentError
 from torchds.recordings import load, load_npz
 
 
@@ -93,3 +93,22 @@ def test_a_damaged_npz_is_refused(tmp_path):
     path.write_bytes(content)
     with refuses(FileError, "a.npz is damaged", "checksum"):
         load(path)
+
+
+def test_several_names_are_demonstrations_or_the_columns_of_one(tmp_path):
+    X, path = np.random.default_rng(0).normal(size=(20, 2)), tmp_path / "a.npz"
+    np.savez(path, first=X, second=2 * X, px=X[:, 0], py=X[:, 1], vx=-X[:, :1], vy=-X[:, 1:])
+    assert [d.x.tolist() for d in load(path, positions=("first", "second"), dt=0.1)] == [X.tolist(), (2 * X).tolist()]
+    (demo,) = load(path, positions=("px", "py"), velocities=("vx", "vy"), dt=0.1)
+    assert demo.x.tolist() == X.tolist() and demo.v.tolist() == (-X).tolist()
+
+
+def test_what_is_said_to_be_none_or_ignored_is_left_out(tmp_path):
+    t, X = 0.1 * np.arange(20.0)[:, None], np.random.default_rng(0).normal(size=(20, 2))
+    np.savez(tmp_path / "a.npz", demo0_x=X, demo0_v=-X, demo0_stiffness=X**2)
+    (demo,) = load(tmp_path / "a.npz", velocities=(), stiffness=(), dt=0.1)
+    assert demo.stiffness is None and not np.allclose(demo.v, -X)
+    np.savez(tmp_path / "b.npz", demo0_x=np.concatenate([t, X], 1))
+    assert load(tmp_path / "b.npz", ignore=0, dt=0.1)[0].x.tolist() == X.tolist()
+    with pytest.raises(InvalidArgumentError, match="split has to be True or False where demonstrations are arrays"):
+        load(tmp_path / "b.npz", split="trial", dt=0.1)
