@@ -6,12 +6,11 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields, make_dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_type_hints
 
 import torch
 import tyro
@@ -19,6 +18,7 @@ import tyro
 import tasks
 from tasks.loading import absolute, is_spec
 from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.plain import fits, plain, restored, words
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 
@@ -133,8 +133,8 @@ class RunOptions:
         return tasks.options_of(self.task).name
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, as options.json and results.json keep them."""
-        return {name: str(v) if isinstance(v, Path) else v for name, v in asdict(self).items() if name not in UNKEPT}
+        """Plain values, as options.json and results.json keep them and JSON gives them back."""
+        return {name: plain(value) for name, value in asdict(self).items() if name not in UNKEPT}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -143,13 +143,11 @@ class RunOptions:
         Raises:
             InvalidArgumentError: an option that does not exist, or a value that it cannot have.
         """
-        cls.check_plain(values)
-        paths = {name: Path(values[name]) for name in ("demonstrations", "mixture", "logdir") if values.get(name)}
-        return cls(**{**values, **paths})
+        return cls(**cls.read(values))
 
     @classmethod
-    def check_plain(cls, values: Mapping[str, Any]) -> None:
-        """Refuse plain values that are none of options.
+    def read(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Some options, by name, from plain values.
 
         Raises:
             InvalidArgumentError, UnknownNameError: see `from_json`.
@@ -161,6 +159,7 @@ class RunOptions:
                 raise UnknownNameError(f"option of {getattr(cls, 'task', 'a run')}", name, known)
             if not fits(value, known[name]):
                 raise InvalidArgumentError(f"the option {name} cannot be {value!r}; it has to be {words(known[name])}")
+        return {name: restored(value, known[name]) for name, value in values.items()}
 
 
 def check_seed(seed: int, bits: int = 63) -> None:
@@ -173,27 +172,6 @@ def check_seed(seed: int, bits: int = 63) -> None:
         raise InvalidArgumentError(f"--seed has to be a whole number from 0 to 2^{bits} - 1, got {seed}")
 
 
-def fits(value: Any, kind: Any) -> bool:
-    """Whether a plain value can be one of an option of this type."""
-    if get_origin(kind) in (Union, UnionType):
-        return any(fits(value, each) for each in get_args(kind))
-    if get_origin(kind) is Literal:
-        return any(value == each and type(value) is type(each) for each in get_args(kind))
-    plain: dict[Any, Any] = {bool: bool, int: int, float: (int, float), str: str, Path: str, NoneType: NoneType}
-    return kind not in plain or (isinstance(value, plain[kind]) and (kind is bool or not isinstance(value, bool)))
-
-
-def words(kind: Any) -> str:
-    """What an option of this type can be, in words."""
-    if get_origin(kind) in (Union, UnionType):
-        return " or ".join(map(words, get_args(kind)))
-    if get_origin(kind) is Literal:
-        return " or ".join(map(repr, get_args(kind)))
-    return {NoneType: "nothing", int: "a whole number", float: "a number", str: "a text", Path: "a path"}.get(
-        kind, str(kind)
-    )
-
-
 def options_class(task: str) -> type[RunOptions]:
     """The options of a run of a task: those of `RunOptions`, and the task's own fields.
 
@@ -202,8 +180,8 @@ def options_class(task: str) -> type[RunOptions]:
 
     Raises:
         UnknownNameError: no task of this name, or one whose defaults name an option that does not exist.
-        InvalidArgumentError: no task stands there, or one with a field that a command line cannot give, or a default that its
-            option cannot have.
+        InvalidArgumentError: no task stands there, or one with a field that a command line cannot give, a default that its
+            option cannot have, or a field with the name of an option of every run and another default.
     """
     return _derived(absolute(task), tasks.options_of(task))
 
@@ -215,8 +193,10 @@ def options_for(task: str, **values: Any) -> RunOptions:
 
 @cache
 def _derived(spec: str, task: type[tasks.Task]) -> type[RunOptions]:
-    """A field that both have, as a seed, keeps the meaning and the type that `RunOptions` gives it."""
-    shared = {field.name for field in fields(RunOptions)}
+    """A field that both have, as a seed, keeps the meaning, the type and the default that `RunOptions` gives it."""
+    defaults = RunOptions.read(task.defaults)
+    shared = {each.name: defaults.get(each.name, _usual(each)) for each in fields(RunOptions)}
+    of_all = {each.name for each in fields(tasks.Task)}
     hints, lines = get_type_hints(task), field_lines(task)
     own: list[Any] = []
     for each in fields(task):
@@ -224,9 +204,13 @@ def _derived(spec: str, task: type[tasks.Task]) -> type[RunOptions]:
             # Fields are copied, since making a dataclass writes on them.
             usual: Any = field(**{name: getattr(each, name) for name in ("default", "default_factory")})
             own.append((each.name, _explained(hints[each.name], lines.get(each.name, "")), usual))
+        elif each.init and each.name not in of_all and _usual(each) not in (MISSING, shared[each.name]):
+            raise InvalidArgumentError(
+                f"the field {each.name} of {task.__name__} has the name of an option of every run, which is "
+                f"{shared[each.name]!r} if nothing is said, and not {_usual(each)!r}; give the field another name"
+            )
     kinds, lines = get_type_hints(RunOptions), field_lines(RunOptions)
-    RunOptions.check_plain(task.defaults)
-    said = [(name, _explained(kinds[name], lines[name]), field(default=usual)) for name, usual in task.defaults.items()]
+    said = [(name, _explained(kinds[name], lines[name]), field(default=usual)) for name, usual in defaults.items()]
     first = (inspect.getdoc(task) or task.__name__).split("\n\n")[0]
     return make_dataclass(
         f"{task.__name__}Options",
@@ -235,6 +219,11 @@ def _derived(spec: str, task: type[tasks.Task]) -> type[RunOptions]:
         namespace={"task": spec, "__doc__": first},
         kw_only=True,
     )
+
+
+def _usual(field: Field[Any]) -> Any:
+    """What a field is if nothing is said; MISSING where something has to be."""
+    return field.default if field.default_factory is MISSING else field.default_factory()
 
 
 def _explained(kind: Any, line: str) -> Any:

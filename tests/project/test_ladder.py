@@ -37,7 +37,8 @@ TASKS = [
     {"gym"},
 ]
 COMMANDS = [
-    {"options", "tables", "statistics"},
+    {"plain", "tables", "statistics"},
+    {"options"},
     {"folder"},
     {"searchers"},
     {"learning"},

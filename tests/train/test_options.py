@@ -1,12 +1,31 @@
 import json
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+
+import tasks
 
 from tasks.constrained_reaching import ConstrainedReaching
 from tests.tasks.sketch.drawn import FULL
 from torchds.errors import InvalidArgumentError, UnknownNameError
+from train.folder import check_identity
 from train.options import options_class, options_for
+
+
+class Own(tasks.ViaPoint):
+    """A task of one's own, with fields of many types."""
+
+    name = "own_for_options"
+    gains: tuple[float, float] = (1.0, 2.0)
+    data: Path = Path("data.csv")
+    other: Path | None = None
+    limit: float = math.inf
+    seed: int = 0
+
+
+OWN = f"{__name__}:Own"
 
 
 def problem(tmp_path, **learner):
@@ -53,3 +72,38 @@ def test_an_option_of_a_learner_that_cannot_be_is_refused_when_the_options_are_m
 def test_an_unknown_optimizer_of_a_learner_is_refused_too(tmp_path):
     with pytest.raises(UnknownNameError, match=r"unknown optimizer 'pib'. Did you mean 'pibb'"):
         options_for(problem(tmp_path, optimizer="pib"))
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"gains": (3.0, -math.inf), "data": Path("a/b.csv"), "other": Path("c"), "limit": 2.0}]
+)
+def test_options_of_a_task_of_ones_own_come_back_from_json_and_are_those_of_the_run(given, tmp_path):
+    options = options_for(OWN, runs=2, **given)
+    said = json.loads(json.dumps(options.to_json(), allow_nan=False))
+    assert said == options.to_json()
+    assert type(options).from_json(said) == options
+    check_identity(tmp_path, {"task": options.task, "options": said}, options)
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        ({"scale": 3.0}, r"the field scale of Mine has the name of an option of every run, which is 1\.0 .* and not 3\.0"),
+        ({"noise": 0.1}, "the field noise of Mine .* which is None if nothing is said, and not 0.1; give the field another"),
+    ],
+)  # fmt: skip
+def test_a_field_that_would_lose_its_default_to_an_option_of_every_run_is_refused(field, words, monkeypatch):
+    (name, usual), *_ = field.items()
+    made = type("Mine", (Own,), {"__annotations__": {name: float}, "__module__": __name__, **field})
+    monkeypatch.setitem(globals(), "Mine", made)
+    with pytest.raises(InvalidArgumentError, match=words):
+        options_class(f"{__name__}:Mine")
+    made.defaults = {name: usual}
+    assert getattr(options_for(f"{__name__}:Mine"), name) == usual
+
+
+def test_defaults_of_a_task_are_read_as_options_are(monkeypatch):
+    monkeypatch.setitem(
+        globals(), "Mine", type("Mine", (Own,), {"__module__": __name__, "defaults": {"logdir": "there"}})
+    )
+    assert options_for(f"{__name__}:Mine").logdir == Path("there")

@@ -6,7 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Collection
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -23,7 +23,7 @@ from train.learning.album import Album
 from train.learning.history import History, results, table
 from train.learning.learner import Learner
 from train.learning.processes import Processes, Several, joined, restarts
-from train.options import UNKEPT, RunOptions, check_seed
+from train.options import RunOptions, check_seed
 from train.searchers.named import runs_vary
 from train.statistics import median
 
@@ -123,6 +123,8 @@ def resume(options: RunOptions, given: Collection[str] | None, folder: RunFolder
     folder.require(OPTIONS)
     with folder.alone():
         before = folder.options()
+        if before.runs == 1 < options.runs and not runs_vary(before, replace(before, device="cpu").make_task()):
+            options = replace(options, runs=1)  # where nothing is random, it stands for as many as were given
         options = merged(options, before, folder, given)
         check(options)
         learner = Learner(options, wrap=processes.share)
@@ -151,11 +153,11 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
             f"{folder.option} {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
             + resuming(before.task, folder)
         )
-    usual = type(options)()
-    names = [field.name for field in fields(options) if field.name not in (*UNKEPT, "logdir")]
+    usual, there, here = (each.to_json() for each in (type(options)(), before, options))
+    names = [name for name in here if name != "logdir"]
     if given is None:
-        given = [name for name in names if getattr(options, name) != getattr(usual, name)]
-    differing = [name for name in names if name in given and getattr(options, name) != getattr(before, name)]
+        given = [name for name in names if here[name] != usual[name]]
+    differing = [name for name in names if name in given and here[name] != there[name]]
     contradicting = [
         f"--{name.replace('_', '-')} {getattr(options, name)} (it was {getattr(before, name)})"
         for name in differing

@@ -91,6 +91,24 @@ def test_where_nothing_is_random_one_run_stands_for_all(noise, runs, undrawn, tm
 
 
 @pytest.mark.slow
+def test_a_command_whose_runs_are_one_can_be_given_again(undrawn, tmp_path, capsys):
+    options = options_for("via_point", runs=3, updates=1, rollouts=2, optimizer="adam", folder=tmp_path / "mine")
+    first = costs(run(options, given={"optimizer", "runs", "updates", "rollouts", "folder"}))
+    assert costs(run(options, given={"optimizer", "runs", "updates", "rollouts", "folder"})) == first
+    assert "all 1 updates are made, nothing is changed" in capsys.readouterr().out
+    options.cost_noise = 0.1
+    with pytest.raises(InvalidArgumentError, match=r"cannot take --cost-noise 0\.1 \(it was 0\.0\)"):
+        run(options)
+
+
+@pytest.mark.slow
+def test_more_runs_of_what_is_random_are_refused(undrawn, tmp_path):
+    folder = run(options_for("via_point", updates=0, logdir=tmp_path))
+    with pytest.raises(InvalidArgumentError, match=r"cannot take --runs 3 \(it was 1\)"):
+        run(options_for("via_point", runs=3, resume=folder))
+
+
+@pytest.mark.slow
 def test_a_primitive_leaves_figures_and_no_policy_file(tmp_path, request):
     folder = run(options_for("via_point", system="dmp", runs=2, updates=2, logdir=tmp_path))
     assert (folder / "motion.png").exists() and not (folder / "policy.pt").exists()
