@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import tasks
-
 from tasks.constrained_reaching import ConstrainedReaching
 from tests.tasks.sketch.drawn import FULL
 from torchds.errors import InvalidArgumentError, UnknownNameError
