@@ -17,8 +17,8 @@ import tyro
 
 import tasks
 from tasks.loading import absolute, is_spec
+from tasks.plain import fits, plain, restored, words
 from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.plain import fits, plain, restored, words
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
 

@@ -29,7 +29,7 @@ LIBRARY = [
     {"testing"},
 ]
 TASKS = [
-    {"settings", "loading", "imitation"},
+    {"settings", "loading", "plain", "imitation"},
     {"base"},
     {"via_point", "two_starts", "constrained_reaching", "force_fields", "lwr_digging", "transfer", "trials", "sketch"},
     {"released", "digging"},
@@ -37,8 +37,7 @@ TASKS = [
     {"gym"},
 ]
 COMMANDS = [
-    {"plain", "tables", "statistics"},
-    {"options"},
+    {"options", "tables", "statistics"},
     {"folder"},
     {"searchers"},
     {"learning"},

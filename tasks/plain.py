@@ -1,4 +1,4 @@
-"""Values of options as JSON has them, and back: what a value of a type can look like there, and what it says."""
+"""Values of fields and options as JSON has them, and back: what one of a type can look like there, and what that says."""
 
 from __future__ import annotations
 

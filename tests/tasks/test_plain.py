@@ -7,7 +7,7 @@ from typing import Literal
 
 import pytest
 
-from train.plain import fits, plain, restored, words
+from tasks.plain import fits, plain, restored, words
 
 THERE_AND_BACK = [
     ((0.5, math.inf), tuple[float, float]),
