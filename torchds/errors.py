@@ -37,6 +37,10 @@ class EqualCostsWarning(UserWarning):
     """All roll-outs of a run cost the same, so that an optimizer learned nothing from them and left the parameters alone."""
 
 
+class LastDigitsWarning(UserWarning):
+    """A session was begun on another processor or with other versions: it goes on, and its last digits may be others."""
+
+
 class DegenerateMixtureError(TorchdsError, ValueError):
     """A Gaussian mixture cannot be fitted to, or built from, what was given."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from torchds.archives import existing, write_atomically
+from torchds.archives import existing, reason, write_atomically
 from torchds.control.tick import Tick
 from torchds.errors import FileError, InvalidArgumentError
 
@@ -79,6 +79,7 @@ class Playback:
     Args:
         path: of `rollout-<k>.csv`.
         measured: columns that are measured beside the positions, with units.
+        velocity: columns of the velocities, as the layout of the session has them; those that begin with "v_" by default.
 
     Attributes:
         dt: time step of the reference [s].
@@ -89,11 +90,12 @@ class Playback:
         FileError: no such file, or it is no reference of a session.
     """
 
-    def __init__(self, path: str | Path, measured: Sequence[str] = ()) -> None:
+    def __init__(self, path: str | Path, measured: Sequence[str] = (), *, velocity: Sequence[str] = ()) -> None:
         self.path = existing(path)
         header, *lines = self.path.read_text(encoding="utf-8").splitlines() or [""]
         names = header.split(",")
-        velocities = [i for i, name in enumerate(names) if name.startswith("v_")]
+        wanted = tuple(velocity) or tuple(name for name in names if name.startswith("v_"))
+        velocities = [i for i, name in enumerate(names) if name in wanted]
         n = len(velocities)
         try:
             self._table = np.array([[float(cell) for cell in line.split(",")] for line in lines])
@@ -102,7 +104,10 @@ class Playback:
         except ValueError:
             fine = False
         if not fine or not self.path.name.startswith("rollout-"):
-            raise FileError(f"{self.path} is no reference of a session, as rollout-1.csv is")
+            raise FileError(
+                f"{self.path} is no reference of a session, as rollout-1.csv is, or its velocities are not the columns "
+                f"{', '.join(wanted) or 'that begin with v_'}; give those of the layout, velocity="
+            )
         self.position = tuple(names[1 : n + 1])
         self.dt = float(self._table[1, 0])
         self.x0 = self._table[0, 1 : n + 1]
@@ -133,10 +138,19 @@ class Playback:
     def write(self) -> Path:
         """Write `recording-<k>.csv` beside the reference, or mark it as failed where the motion has not ended.
 
+        A motion that has ended takes back the mark that an earlier `write` has left, and no other.
+
         Raises:
             FileError: it cannot be written.
         """
         recording = self.path.with_name(self.path.name.replace("rollout-", "recording-"))
-        if self.done:
-            return self.recorder.write(recording)
-        return self.recorder.write(recording.with_suffix(".failed"))
+        mark = recording.with_suffix(".failed")
+        if not self.done:
+            return self.recorder.write(mark)
+        self.recorder.write(recording)
+        try:
+            if mark.is_file() and mark.read_bytes().startswith(b"time [s],"):
+                mark.unlink()
+        except OSError as error:
+            raise FileError(f"{mark} cannot be removed: {reason(error)}; remove it, the motion has ended") from error
+        return recording

@@ -176,11 +176,14 @@ class Books(ABC):
             force: take recordings that do not look like their references.
 
         Raises:
-            InvalidArgumentError: roll-outs are missing, or costs come where recordings came before or the other way round.
+            InvalidArgumentError: roll-outs are missing, costs come where recordings came before or the other way round, or a
+                cost term has a name that is not its own.
             FileError: a file that cannot be used, recordings that are not those of their references, or another process that
                 works on the session or has gone on with it.
             AllRolloutsFailedError: no roll-out has a cost; the policy stays, and the session can ask again.
         """
+        if missing not in ("wait", "failed"):
+            raise InvalidArgumentError(f"missing has to be 'wait' or 'failed', got {missing!r}; nothing is changed")
         with self.alone():
             return self._tell(missing, force) if self.asked else None
 

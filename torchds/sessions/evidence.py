@@ -50,7 +50,10 @@ class Evidence:
             values = [given[k] if state == "there" else torch.inf for k, state in enumerate(states, 1)]
             self.costs = torch.tensor(values, dtype=asked.x.dtype)
         else:
-            layout = trial.layout if trial.layout.start else replace(trial.layout, start=near(trial.layout, asked.x))
+            layout = trial.layout
+            if not layout.start:  # what was not asked for has no size
+                moved = asked.x.where(trial.possible(asked)[:, None, None], asked.x[:, :1])
+                layout = replace(layout, start=near(layout, moved))
             read = read_recordings(layout, folder, states, asked.x[:, 0], trial.n_steps, trial.dt)
             self.recorded = Recorded(*(part.to(asked.x) for part in read))
         check_settled(come)

@@ -51,10 +51,9 @@ def give(folder: Path, id: str, texts: Mapping[str, str]) -> None:
     if folder.is_symlink():
         raise FileError(f"{folder} is a link; a session writes into folders of its own. Remove the link")
     make_folder(folder)
-    finished = (folder / ASKED).is_file()
-    if finished:
-        check_given(folder, id)
-    elif early := sorted(
+    if (folder / ASKED).is_file():
+        return _give_again(folder, id, texts)
+    if early := sorted(
         path.name
         for path in folder.iterdir()
         if path.name == COSTS or (path.suffix == ".csv" and path.name.startswith("recording-"))
@@ -62,19 +61,33 @@ def give(folder: Path, id: str, texts: Mapping[str, str]) -> None:
         raise FileError(f"{folder} has {', '.join(early)} before anything was asked; move them away")
     for name, text in texts.items():
         path = folder / name
-        if os.path.lexists(path):
-            if read(path) != text and not name.endswith(".failed"):
-                raise FileError(
-                    f"{path} is there and is not what this session gives out; nothing is replaced. Move it away, and ask again"
-                )
-        else:
+        if not os.path.lexists(path):
             write_text(path, text)
-    if not finished:
-        write_sealed(folder / ASKED, {"id": id, "references": {name: digest(text) for name, text in texts.items()}})
+        elif read(path) != text and not name.endswith(".failed"):
+            raise FileError(
+                f"{path} is there and is not what this session gives out; nothing is replaced. Move it away, and ask again"
+            )
+    _sign(folder, id, texts, {})
 
 
-def check_given(folder: Path, id: str) -> None:
-    """Refuse a folder whose references are not those that the session gave out.
+def _give_again(folder: Path, id: str, texts: Mapping[str, str]) -> None:
+    """Write what is gone of what was given out, with the last digits of this processor and these versions."""
+    given = check_given(folder, id)
+    gone = {name: text for name, text in texts.items() if name in given and not os.path.lexists(folder / name)}
+    if any(digest(text) != given[name] for name, text in gone.items()):
+        _sign(folder, id, gone, given)  # before they are there: a kill leaves files that are given out once more
+    for name, text in gone.items():
+        write_text(folder / name, text)
+
+
+def _sign(folder: Path, id: str, texts: Mapping[str, str], given: Mapping[str, str]) -> None:
+    """Write whose references these are, with their digests and those that were `given` before."""
+    references = {**given, **{name: digest(text) for name, text in texts.items()}}
+    write_sealed(folder / ASKED, {"id": id, "references": references})
+
+
+def check_given(folder: Path, id: str) -> dict[str, str]:
+    """The digests of what the session gave out, by name; a folder that holds anything else is refused.
 
     Raises:
         FileError: they are of another session, were changed, or were not all written.
@@ -87,9 +100,11 @@ def check_given(folder: Path, id: str) -> None:
         raise FileError(
             f"{folder} has references that this session did not give out; it is at {id}, they are {content.get('id')}"
         )
-    for name, written in content["references"].items():
-        if name.endswith(".csv") and (folder / name).exists() and digest(read(folder / name)) != written:
+    references: dict[str, str] = content["references"]
+    for name, written in references.items():
+        if name.endswith(".csv") and os.path.lexists(folder / name) and digest(read(folder / name)) != written:
             raise FileError(f"{folder / name} was changed since it was given out; move it away, and ask again")
+    return references
 
 
 def read(path: Path) -> str:

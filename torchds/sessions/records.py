@@ -5,6 +5,7 @@ Stability: experimental.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,11 +43,11 @@ class History:
     seconds: float = 0.0
 
     def add(self, rollouts: int, terms: dict[str, float], failed: int) -> None:
-        """Append an update."""
+        """Append an update; a term that it or those before do not have is NaN there."""
         self.rollouts.append(rollouts)
         self.cost.append([sum(terms.values())])
-        for name, value in terms.items():
-            self.terms.setdefault(name, []).append([value])
+        for name in {**self.terms, **terms}:
+            self.terms.setdefault(name, [[math.nan] for _ in self.cost[1:]]).append([terms.get(name, math.nan)])
         self.failed.append(failed)
 
 

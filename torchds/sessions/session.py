@@ -6,6 +6,8 @@ Stability: stable.
 from __future__ import annotations
 
 import copy
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchds import files
-from torchds.errors import FileError, InvalidArgumentError, TorchdsError
+from torchds.errors import FileError, InvalidArgumentError, LastDigitsWarning, TorchdsError
 from torchds.locks import one_writer
 from torchds.optim.base import PolicySearch
 from torchds.policy import GMRPolicy
@@ -23,7 +25,7 @@ from torchds.policy_file import versions
 from torchds.sessions.books import BOOKS, Books
 from torchds.sessions.given import STATE, refuse_used
 from torchds.sessions.records import POLICY, History
-from torchds.sessions.trial import Trial
+from torchds.sessions.trial import TASK, Trial
 
 RESULTS = "results.json"
 
@@ -44,7 +46,8 @@ class Session(Books):
 
     Attributes:
         history: what each update cost.
-        best: the policy that cost least of those that were tried without noise, and what it cost; None before the first.
+        best: the policy that cost least of those that were tried without noise, and what it cost; None before one has a
+            finite cost.
 
     Raises:
         InvalidArgumentError: a batch of policies, an optimizer of other parameters, one that needs costs of each time step or
@@ -82,7 +85,7 @@ class Session(Books):
             raise InvalidArgumentError(f"a session learns one policy, got a batch {policy.batch_shape}; take policy[i]")
         if {id(p) for p in optim.parameters} != {id(p) for p in policy.parameters()}:
             raise InvalidArgumentError("optim has to be made of policy.parameters(), all of them")
-        if optim.costs_per_step or optim.elite not in ("nominal", "best"):
+        if optim.costs_per_step or optim.elite != "nominal":
             raise InvalidArgumentError(
                 f"a session needs a search that waits for whole roll-outs and tries the policy itself first; got "
                 f"{type(optim).__name__} with elite={optim.elite!r}; make it with elite='nominal'"
@@ -90,7 +93,8 @@ class Session(Books):
         self.schedulers = list(schedulers)
         self._history = History()
         self.best: tuple[GMRPolicy, float] | None = None
-        self._identity = files.digest([trial.reference(policy)._asdict(), list(trial.layout.reference), trial.dt])
+        asked = {name: part.cpu().clone() for name, part in trial.reference(policy)._asdict().items()}
+        self._motion = [asked, list(trial.layout.reference), trial.dt]
         if (self.folder / STATE).is_file():
             self._open()
         else:
@@ -113,10 +117,12 @@ class Session(Books):
             **about: goal, P, names, units or dt, in place of what the policy, the layout and the trial say.
 
         Raises:
-            InvalidArgumentError: no update was told yet.
+            InvalidArgumentError: no policy has a finite cost yet.
         """
         if self.best is None:
-            raise InvalidArgumentError(f"{self.folder}: no policy was tried yet; {self.status().next}")
+            raise InvalidArgumentError(
+                f"{self.folder}: no policy with a finite cost was tried yet; {self.status().next}"
+            )
         policy, layout = self.best[0], self.trial.layout
         D, units = policy.input_dim, set(layout.units)
         names = tuple(name.partition(" [")[0] for name in layout.position[:D])
@@ -133,7 +139,7 @@ class Session(Books):
         self._write(
             {
                 "versions": versions(),
-                "identity": self._identity,
+                "identity": self._motion,
                 "policy": self.policy.state_dict(),
                 "optim": self.optim.state_dict(),
                 "schedulers": [plain(each.state_dict()) for each in self.schedulers],
@@ -148,17 +154,15 @@ class Session(Books):
         names = ("identity", "policy", "optim", "schedulers", "history", "best", *BOOKS)
         if missing := [name for name in names if name not in state]:
             raise FileError(f"{path} is no session of this version: no {', '.join(missing)} in it")
-        if state["identity"] != self._identity:
-            raise FileError(
-                f"{path} was begun with another motion: policy, start, time step or columns differ from those given now"
-            )
+        check_motion(path, state["identity"], self._motion)
         try:
             self.policy.load_state_dict(state["policy"])
             self.optim.load_state_dict(state["optim"])
             for scheduler, given in zip(self.schedulers, state["schedulers"], strict=True):
                 scheduler.load_state_dict(given)
-            self._history = History(**state["history"])
-            if (best := state["best"]) is not None:
+            named = {TASK if name == "cost" else name: rows for name, rows in state["history"]["terms"].items()}
+            self._history = History(**{**state["history"], "terms": named})  # "cost" in earlier versions
+            if (best := state["best"]) is not None and math.isfinite(best["cost"]):
                 policy = copy.deepcopy(self.policy)
                 policy.load_state_dict(best["policy"])
                 self.best = policy, best["cost"]
@@ -179,9 +183,46 @@ class Session(Books):
         cost = sum(nominal.values())
         self.history.add(self.spent, nominal, self.failed)
         self.history.seconds += n_there * self.trial.seconds
-        if self.best is None or cost < self.best[1]:
+        if math.isfinite(cost) and (self.best is None or cost < self.best[1]):
             self.best = self._tried, cost
         return int(last.failed.sum())
+
+
+def check_motion(path: Path, begun: Any, given: Any) -> None:
+    """Refuse a session of another motion; one whose last digits differ goes on, and that is said.
+
+    Args:
+        path: of its state.
+        begun: reference, columns and time step of its beginning; of earlier versions their digest.
+        given: those of now.
+
+    Raises:
+        FileError: it was begun with another motion.
+    """
+    if files.digest(given) in (begun, files.digest(begun)):
+        return
+    if (
+        isinstance(begun, str)
+        or begun[1:] != given[1:]
+        or not all(alike(begun[0][name], given[0][name]) for name in given[0])
+    ):
+        raise FileError(
+            f"{path} was begun with another motion: policy, start, time step or columns differ from those given now"
+        )
+    warnings.warn(
+        f"{path} was begun on another processor or with other versions: it goes on, and last digits may differ",
+        LastDigitsWarning,
+        stacklevel=4,
+    )
+
+
+def alike(x: Tensor, y: Tensor) -> bool:
+    """Whether tensors differ by no more than a share of the largest number, 1e-6 of it in double precision."""
+    if x.shape != y.shape or x.dtype != y.dtype:
+        return False
+    share = 1e-6 if y.dtype == torch.float64 else 1e-3
+    size = max(y[y.isfinite()].abs().tolist(), default=0.0)
+    return torch.allclose(x, y, rtol=0.0, atol=share * size, equal_nan=True)
 
 
 def plain(state: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from torchds.errors import FileError
 from torchds.files import existing, reason, write_text
-from torchds.recordings import read_table
+from torchds.recordings.csv import names_of
+from torchds.recordings.text import read_text
 from torchds.sessions.layout import TIME, Layout
 
 COSTS = "costs.csv"
@@ -111,21 +112,28 @@ def recorded_columns(layout: Layout, path: Path) -> tuple[np.ndarray, np.ndarray
     """Times `(samples,)`, positions `(samples, C)` and all else `(samples, M)` of a recording as they stand in the file.
 
     Raises:
-        FileError: a file that is no table of finite numbers, that is half-written, or lacks columns.
+        FileError: a file that is no table, that is half-written, or lacks columns or finite numbers in them.
     """
     check_whole(path)
-    header, table = read_table(path)
+    text = read_text(path)
+    header = names_of(path, text, {})
     if absent := [name for name in layout.recording if name not in header and name not in layout.optional]:
         may = f" ({', '.join(layout.optional)} may be left out)" if layout.optional else ""
         raise FileError(
             f"{path}: no column {', '.join(map(repr, absent))}. The columns have to be {', '.join(layout.recording)}{may}, "
             f"units included; the header says {', '.join(header)}."
         )
-    columns = dict(zip(header, table.T, strict=True))
+    columns = {name: text.numbers(header.index(name)) for name in layout.recording if name in header}
+    for name, column in columns.items():
+        for row in np.flatnonzero(~np.isfinite(column))[:1]:
+            raise FileError(
+                f"{path}, line {text.lines[row]}, column {name!r}: {text.cells[row][header.index(name)].strip()!r} is not a "
+                f"finite number; correct the line or remove it (values are separated by {text.form})"
+            )
     for name in layout.optional:
-        columns.setdefault(name, np.zeros(len(table)))
+        columns.setdefault(name, np.zeros(len(text.cells)))
     x, measured = (
-        np.stack([columns[name] for name in names], -1) if names else np.empty((len(table), 0))
+        np.stack([columns[name] for name in names], -1) if names else np.empty((len(text.cells), 0))
         for names in (layout.position, layout.measured)
     )
     return columns[TIME], x, measured

@@ -52,6 +52,12 @@ class Measured(NamedTuple):
     measured: Tensor
 
 
+TASK = "task"
+"""The cost term of whoever gives one cost."""
+
+TAKEN = ("rollout", "control", "cost", "weight", "state", "measured")
+"""What a session calls its own columns and terms."""
+
 Terms = Callable[[Rollout], Mapping[str, Tensor] | Tensor]
 
 
@@ -64,7 +70,7 @@ class Trial:
         dt: time step [s].
         layout: of the files; it has a position for each output of the policy, the first D of them its inputs.
         cost_terms: of a roll-out `(*batch, T+1, C)` whose `x` and `v` are measured and whose `plant` is a `Measured`: terms by
-            name, or one cost `(*batch)`. None where costs are given in `costs.csv`.
+            name, none of `TAKEN`, or one cost `(*batch)`, which is the term "task". None where costs are given in `costs.csv`.
         reaches: `(..., C)` positions to truths, whether the robot can be there; what leaves that is never asked for.
         stop: where a roll-out would end early (`torchds.Walls`, `torchds.Bounds`); what goes there is never asked for either.
 
@@ -148,7 +154,7 @@ class Trial:
             there: `(N,)` whether a roll-out was recorded.
 
         Raises:
-            InvalidArgumentError: nobody said what a recording costs.
+            InvalidArgumentError: nobody said what a recording costs, or a term has a name that is taken.
         """
         if self.cost_terms is None:
             raise InvalidArgumentError(
@@ -161,7 +167,12 @@ class Trial:
         v = x.diff(dim=-2) / self.dt
         seen = replace(path, x=x, v=v, plant=Measured(x, v, asked.stiffness, measured))
         found = self.cost_terms(seen)
-        terms = dict(found) if isinstance(found, Mapping) else {"cost": found}
+        terms = dict(found) if isinstance(found, Mapping) else {TASK: found}
+        if wrong := [name for name in terms if name in TAKEN or set(name) & set(',"\n')]:
+            raise InvalidArgumentError(
+                f"cost terms have to have names without commas that a session does not use itself ({', '.join(TAKEN)}), got "
+                f"{', '.join(map(repr, wrong))}; give them others and tell again"
+            )
         return {name: torch.where(there.reshape(lead), value, torch.inf) for name, value in terms.items()}
 
     def question(self, numbers: Sequence[int], recorded: Recorded, asked: Reference) -> list[Finding]:

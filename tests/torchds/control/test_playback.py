@@ -14,6 +14,8 @@ from tests.torchds.sessions.motions import session
 from tests.without_torch import WITHOUT_TORCH
 from torchds.control import Controller, Playback, Recorder
 from torchds.errors import FileError, InvalidArgumentError
+from torchds.sessions import Layout
+from torchds.sessions.tables import reference_text
 
 ROOT = Path(__file__).parents[3]
 ROBOT = (
@@ -94,6 +96,32 @@ def test_a_motion_that_was_stopped_is_a_failure(tmp_path):
     played = Playback(reference(tmp_path))
     played.step([1.0])
     assert played.write().name == "recording-2.failed"
+
+
+def test_a_motion_that_is_repeated_to_its_end_takes_back_its_own_mark(tmp_path):
+    for steps, mark in ((1, True), (2, False), (1, True), (2, False)):
+        played = Playback(reference(tmp_path))
+        for _ in range(steps):
+            played.step([1.0])
+        played.write()
+        assert (tmp_path / "recording-2.failed").exists() == mark
+    (tmp_path / "recording-2.failed").touch()  # of whoever watched
+    played.write()
+    assert (tmp_path / "recording-2.failed").exists()
+
+
+def test_velocities_are_those_of_the_layout(tmp_path):
+    layout = Layout(("v_x [m]", "y [m]"), velocity=("dx [m/s]", "dy [m/s]"), stiffness=("s [N/m]",))
+    x = torch.arange(8.0).reshape(4, 2)
+    path = reference(tmp_path, reference_text(layout, x, x.diff(dim=0), torch.ones(3, 1), 0.5))
+    with pytest.raises(
+        FileError, match=r"velocities are not the columns v_x \[m\]; give those of the layout, velocity="
+    ):
+        Playback(path)
+    played = Playback(path, velocity=layout.velocity)
+    tick = played.step([0.0, 0.0])
+    assert played.position == layout.position
+    assert (tick.x.tolist(), tick.v.tolist(), tick.stiffness.tolist()) == ([0.0, 1.0], [2.0, 2.0], [1.0])
 
 
 def test_wrong_numbers_and_files_are_refused(tmp_path):

@@ -5,6 +5,7 @@ import torch
 
 from tests.torchds.sessions.motions import costs, record, session
 from torchds.errors import FileError, InvalidArgumentError
+from torchds.sessions.trial import TAKEN
 
 
 @pytest.fixture
@@ -34,6 +35,32 @@ def test_missing_roll_outs_wait_or_count_as_failed(mine):
         mine.tell()
     assert mine.tell(missing="failed").failed == 1
     assert mine.history.seconds == 2 * mine.trial.seconds and mine.spent == 3
+
+
+@pytest.mark.slow
+def test_other_words_for_missing_make_no_update(mine):
+    costs(mine, 1.0, 2.0)
+    for word in ("Wait", "fail", True):
+        with pytest.raises(InvalidArgumentError, match=f"missing has to be 'wait' or 'failed', got {word!r}"):
+            mine.tell(missing=word)
+    assert mine.asked and mine.done == 0
+
+
+@pytest.mark.slow
+def test_terms_with_names_of_the_session_are_refused_before_anything_is_written(mine):
+    for k in (1, 2, 3):
+        record(mine, k)
+
+    def written():
+        return {path: path.read_bytes() for path in mine.folder.rglob("[!.]*") if path.is_file()}
+
+    before, terms = written(), mine.trial.cost_terms
+    mine.trial.cost_terms = lambda path: {"control": terms(path)["goal"]}
+    with pytest.raises(InvalidArgumentError, match="got 'control'; give them others and tell again"):
+        mine.tell()
+    assert written() == before
+    mine.trial.cost_terms = terms
+    assert {*mine.tell().header} - {"goal", "effort"} == {*TAKEN} - {"measured"}
 
 
 @pytest.mark.slow

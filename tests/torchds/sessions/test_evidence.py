@@ -43,6 +43,21 @@ def test_recordings_are_those_of_the_files_and_may_start_a_tenth_of_the_motion_a
         evidence(mine)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [1e6, torch.nan])
+def test_what_was_not_asked_for_says_nothing_about_the_start_of_others(mine, far):
+    record(mine, 1)
+    asked = mine.references()
+    size = near(mine.trial.layout, asked.x[[0, 2]])[0]
+    asked.x[1, 5:] = far
+    mine.trial.reaches = lambda x: (x.abs() < 1e3).all(-1)
+    record(mine, 3, lambda x: x + 0.9 * size)
+    Evidence(mine.trial, mine.update_folder, ["there", "failed", "there"], asked)
+    record(mine, 3, lambda x: x + 1.1 * size)
+    with pytest.raises(FileError, match=r"recording-3\.csv: the motion starts at"):
+        Evidence(mine.trial, mine.update_folder, ["there", "failed", "there"], asked)
+
+
 def test_sizes_are_those_of_columns_with_one_unit():
     x = torch.tensor([[[0.0, 0, 0], [2, 1, 0.5]]]).double()
     assert near(Layout(("x [m]", "y [m]", "a [rad]")), x) == pytest.approx((0.2, 0.2, 0.05))

@@ -20,6 +20,21 @@ def test_given_twice_it_stays_and_of_another_id_it_is_refused(tmp_path):
         given.check_given(folder, "1234")
 
 
+def test_what_is_gone_comes_back_with_other_last_digits_and_nothing_else_changes(tmp_path):
+    """As another processor computes them: what is there stays, and what was never given is not."""
+    folder = tmp_path / "update-001"
+    given.give(folder, "1234", {**TEXTS, "rollout-3.csv": "time [s]\n0.1\n"})
+    (folder / "rollout-3.csv").unlink()
+    other = {name: text.replace("0", "1e-17") for name, text in TEXTS.items()}
+    given.give(
+        folder, "1234", {**other, "rollout-3.csv": "time [s]\n0.1000001\n", "recording-3.failed": "out of reach\n"}
+    )
+    assert (folder / "rollout-1.csv").read_text() == TEXTS["rollout-1.csv"]
+    assert (folder / "rollout-3.csv").read_text() == "time [s]\n0.1000001\n"
+    assert not (folder / "recording-3.failed").exists()
+    assert given.check_given(folder, "1234").keys() == {*TEXTS, "rollout-3.csv"}
+
+
 def test_what_lies_there_before_anything_was_asked_is_named(tmp_path):
     (tmp_path / "costs.csv").write_text("rollout,cost\n")
     with pytest.raises(FileError, match=r"has costs\.csv before anything was asked"):

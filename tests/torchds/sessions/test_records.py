@@ -24,6 +24,15 @@ def test_the_status_says_what_to_call():
     assert Status.hint("insist", FOLDER) == "session.tell(force=True)"
 
 
+def test_terms_that_come_and_go_are_nan_where_they_are_not():
+    history = History()
+    history.add(0, {"control": 1.0}, 0)
+    history.add(8, {"force": 2.0, "control": 1.0}, 0)
+    history.add(16, {"force": 3.0}, 0)
+    assert str(history.terms) == "{'control': [[1.0], [1.0], [nan]], 'force': [[nan], [2.0], [3.0]]}"
+    assert "nan" in str(Status(FOLDER, 3, 3, 24, history, FOLDER / "update-004", None))
+
+
 def test_numbers_stand_to_the_right():
     assert aligned(["name", "cost"], [["a", 1.23456], ["long", 10.0]]).splitlines() == [
         "name   cost",

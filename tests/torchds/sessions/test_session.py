@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import multiprocessing
 import os
 import shutil
@@ -12,8 +13,10 @@ import torch
 import torchds
 from tests.torchds.sessions.motions import MOTIONS, costs, learned, letter, record, session
 from torchds import files
-from torchds.errors import AllRolloutsFailedError, FileError, InvalidArgumentError
+from torchds.errors import AllRolloutsFailedError, FileError, InvalidArgumentError, LastDigitsWarning
+from torchds.recordings import read_table
 from torchds.sessions import Session
+from torchds.sessions.session import check_motion
 
 N = 3
 
@@ -151,7 +154,9 @@ def test_a_folder_may_be_moved_and_a_repeated_tell_changes_nothing(tmp_path):
 @pytest.mark.slow
 def test_the_best_policy_is_exported_as_it_was_tried(tmp_path):
     mine = session(tmp_path / "s", n_updates=3)
-    with pytest.raises(InvalidArgumentError, match=r"no policy was tried yet; next: session\.ask\(\)"):
+    with pytest.raises(
+        InvalidArgumentError, match=r"no policy with a finite cost was tried yet; next: session\.ask\(\)"
+    ):
         mine.export(tmp_path / "best.pt")
     tried = []
     for nominal in (2.0, 1.0, 3.0):
@@ -166,6 +171,101 @@ def test_the_best_policy_is_exported_as_it_was_tried(tmp_path):
     assert best.info.dt == mine.trial.dt and best.info.goal.tolist() == [0, 0]
     assert [f"{name} [{best.info.units}]" for name in best.info.names] == list(mine.trial.layout.position)
     assert torchds.Controller.load(tmp_path / "best.pt").dt == mine.trial.dt
+
+
+@pytest.mark.slow
+def test_only_finite_costs_are_the_best(tmp_path):
+    mine = session(tmp_path / "s")
+    mine.trial.cost_terms = lambda path: {"end": path.x[..., -1, 0] * torch.tensor([math.nan, 1, 1])}
+    for update in (1, 2):
+        mine.ask()
+        for k in (1, 2, 3):
+            record(mine, k)
+        mine.tell()
+        if update == 1:
+            with pytest.raises(InvalidArgumentError, match="no policy with a finite cost was tried yet"):
+                mine.export(tmp_path / "best.pt")
+            state = files.load(tmp_path / "s" / "session.pt", "session")  # as earlier versions wrote it
+            state["best"] = {"policy": mine.policy.state_dict(), "cost": math.nan}
+            files.save(tmp_path / "s" / "session.pt", "session", state)
+            mine = session(tmp_path / "s")
+            mine.trial.cost_terms = lambda path: {"end": path.x[..., -1, 0]}
+    assert mine.best[1] == mine.history.cost[1][0] and math.isnan(mine.history.cost[0][0])
+    mine.export(tmp_path / "best.pt")
+
+
+@pytest.mark.slow
+def test_last_digits_of_another_processor_are_no_other_motion(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHDS_BACKEND", "eager")
+    folder = session(tmp_path / "s").ask().folder
+    eager = {path.name: path.read_text() for path in folder.glob("rollout-*")}
+    monkeypatch.setenv("TORCHDS_BACKEND", "auto")
+    (folder / "rollout-2.csv").rename(tmp_path / "lost.csv")
+    with pytest.warns(LastDigitsWarning, match="begun on another processor or with other versions: it goes on"):
+        mine = session(tmp_path / "s")
+    mine.ask()
+    fused = {path.name: path.read_text() for path in folder.glob("rollout-*")}
+    assert fused.keys() == eager.keys() and fused["rollout-1.csv"] == eager["rollout-1.csv"]
+    assert fused["rollout-2.csv"] != eager["rollout-2.csv"]
+    for k in (1, 2, 3):
+        record(mine, k)
+    assert mine.tell().failed == 0
+    session(tmp_path / "s").ask()  # said once
+
+
+def test_motions_are_one_but_for_their_last_digits(tmp_path, randn):
+    x, columns = randn(9, 2), ["x [m]", "y [m]"]
+    begun = [{"x": x, "stiffness": x[:, :0]}, columns, 0.1]
+    check_motion(tmp_path, begun, begun)
+    check_motion(tmp_path, files.digest(begun), begun)
+    single = [{"x": x.float()}, columns, 0.1]
+    for was, now in (
+        (begun, [{**begun[0], "x": x + 1e-9}, *begun[1:]]),
+        (single, [{"x": x.float() + 1e-5}, *single[1:]]),
+    ):
+        with pytest.warns(LastDigitsWarning, match="last digits may differ"):
+            check_motion(tmp_path, was, now)
+        with pytest.raises(FileError, match="begun with another motion"):
+            check_motion(tmp_path, files.digest(was), now)
+    for other in (
+        [{**begun[0], "x": x + 1e-3}, columns, 0.1],
+        [{**begun[0], "x": x[1:]}, columns, 0.1],
+        [{**begun[0], "x": x.float()}, columns, 0.1],
+        [begun[0], columns[::-1], 0.1],
+        [begun[0], columns, 0.2],
+    ):
+        with pytest.raises(FileError, match="begun with another motion: policy, start, time step or columns differ"):
+            check_motion(tmp_path, begun, other)
+
+
+@pytest.mark.slow
+def test_one_cost_is_a_term_and_folders_of_earlier_versions_go_on(tmp_path):
+    def once(path):
+        return path.x[..., -1, 0].square()
+
+    mine = session(tmp_path / "s")
+    mine.trial.cost_terms = once
+    folder = mine.ask().folder
+    for k in (1, 2, 3):
+        record(mine, k)
+    expected = ["rollout", "task", "control", "cost", "weight"]
+    assert mine.tell().header == [*expected, "state"]
+    table = [line.rpartition(",")[0] for line in (folder / "outcome.csv").read_text().splitlines()]
+    (tmp_path / "numbers.csv").write_text("\n".join(table) + "\n")
+    assert read_table(tmp_path / "numbers.csv")[0] == expected
+    path = tmp_path / "s" / "session.pt"
+    state = files.load(path, "session")
+    terms = {{"task": "cost"}.get(name, name): rows for name, rows in state["history"]["terms"].items()}
+    before = {"identity": files.digest(state["identity"]), "history": {**state["history"], "terms": terms}}
+    files.save(path, "session", {**state, **before})
+    mine = session(tmp_path / "s")
+    mine.trial.cost_terms = once
+    mine.ask()
+    for k in (1, 2, 3):
+        record(mine, k)
+    mine.tell()
+    assert [(name, len(rows)) for name, rows in mine.history.terms.items()] == [("task", 2), ("control", 2)]
+    assert isinstance(files.load(path, "session")["identity"], list)
 
 
 def test_where_all_fail_others_are_asked(tmp_path):
@@ -189,6 +289,7 @@ def test_what_does_not_fit_the_session_is_refused(tmp_path):
         session(tmp_path / "s", n_rollouts=4)
     for options, words in (
         ({"elite": "none"}, r"PIBB with elite='none'; make it with elite='nominal'"),
+        ({"elite": "best"}, r"PIBB with elite='best'; make it with elite='nominal'"),
         ({}, "made of policy.parameters"),
     ):
         optim = torchds.optim.PIBB((mine.policy if not options else policy).parameters(), exploration=noise, **options)

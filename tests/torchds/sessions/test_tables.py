@@ -39,6 +39,16 @@ def test_a_recording_of_any_rate_comes_to_the_control_steps(tmp_path):
     np.testing.assert_allclose(found.measured, np.stack([3 * times, 0 * times], -1)[1:], atol=1e-13)
 
 
+def test_columns_of_words_or_without_values_are_ignored_but_not_among_those_that_are_read(tmp_path):
+    path = tmp_path / "recording-1.csv"
+    rows = [f"{DT * k},impedance,{k},,{k}\n" for k in range(T + 1)]
+    path.write_text("time [s],mode,x [m],note,f [N]\n" + "".join(rows))
+    assert tables.read_recording(LAYOUT, path, torch.zeros(1), T, DT).x[-1].tolist() == [T]
+    path.write_text(path.read_text().replace("impedance,7,", "impedance,seven,"))
+    with pytest.raises(FileError, match=r"line 9, column 'x \[m\]': 'seven' is not a finite number"):
+        tables.read_recording(LAYOUT, path, torch.zeros(1), T, DT)
+
+
 def test_a_slow_reference_allows_recordings_that_are_as_slow(tmp_path):
     path = write(tmp_path, "time [s],x [m],f [N]", np.stack([np.arange(T + 1.0)] * 3, -1))
     assert tables.read_recording(LAYOUT, path, torch.zeros(1), T, 1.0).x.shape == (T + 1, 1)

@@ -8,6 +8,7 @@ from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from torchds.sessions import Layout, Trial
 from torchds.sessions.tables import Recorded
+from torchds.sessions.trial import TAKEN
 
 PLANE = Layout(("x [m]", "y [m]"))
 
@@ -67,6 +68,12 @@ def test_bad_arguments_are_refused(random_policy, randn):
     ):
         trial.reference(random_policy(D=2, O=3, Q=1))
     recorded = Recorded(randn(1, 11, 2), randn(1, 10, 0))
+    for name in (*TAKEN, "goal, end"):
+        named = Trial(
+            randn(2), 10, 0.1, PLANE, lambda path, name=name: {"end": path.x[..., -1, 0], name: path.x[..., 0, 0]}
+        )
+        with pytest.raises(InvalidArgumentError, match=f"names without commas .*, got '{name}'; give them others"):
+            named.terms(random_policy(batch=(1,)), recorded, torch.tensor([True]))
     with pytest.raises(
         InvalidArgumentError, match=r"no cost_terms.* give costs in costs\.csv, or make the trial with cost_terms="
     ):
