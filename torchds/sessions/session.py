@@ -206,8 +206,10 @@ def check_motion(path: Path, begun: Any, given: Any) -> None:
         or begun[1:] != given[1:]
         or not all(alike(begun[0][name], given[0][name]) for name in given[0])
     ):
+        earlier = "; or an earlier version of torchds began it on another processor: tell once where it was begun"
         raise FileError(
             f"{path} was begun with another motion: policy, start, time step or columns differ from those given now"
+            f"{earlier if isinstance(begun, str) else ''}"
         )
     warnings.warn(
         f"{path} was begun on another processor or with other versions: it goes on, and last digits may differ",
