@@ -204,7 +204,7 @@ def check_motion(path: Path, begun: Any, given: Any) -> None:
     if (
         isinstance(begun, str)
         or begun[1:] != given[1:]
-        or not all(alike(begun[0][name], given[0][name]) for name in given[0])
+        or not all(_alike(begun[0][name], given[0][name]) for name in given[0])
     ):
         earlier = "; or an earlier version of torchds began it on another processor: tell once where it was begun"
         raise FileError(
@@ -218,7 +218,7 @@ def check_motion(path: Path, begun: Any, given: Any) -> None:
     )
 
 
-def alike(x: Tensor, y: Tensor) -> bool:
+def _alike(x: Tensor, y: Tensor) -> bool:
     """Whether tensors differ by no more than a share of the largest number, 1e-6 of it in double precision."""
     if x.shape != y.shape or x.dtype != y.dtype:
         return False
