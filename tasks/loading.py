@@ -8,6 +8,8 @@ import importlib.util
 import inspect
 import re
 import sys
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
@@ -40,6 +42,18 @@ def short(spec: str) -> str:
     if is_problem(spec):
         return re.sub(r"\W+", "_", Path(spec).stem).strip("_").lower() or "problem"
     return spec.rpartition(":")[2]
+
+
+def told_apart(specs: Iterable[str], brief: Callable[[str], str] = short) -> dict[str, str]:
+    """What a table calls each of several things that stand anywhere: short, or whole where two of them have one short name.
+
+    Args:
+        specs: where they stand, or their names; a place may be said in several ways.
+        brief: makes the short name.
+    """
+    whole = {spec: absolute(spec) for spec in specs}
+    briefs = Counter(brief(spec) for spec in set(whole.values()))
+    return {spec: brief(place) if briefs[brief(place)] == 1 else place for spec, place in whole.items()}
 
 
 def load_object(spec: str, base: type[T]) -> type[T]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 Values = Sequence[float] | np.ndarray
+HUGE = 1e300  # stands for infinity where numbers are interpolated
 
 
 def quartiles(values: Values | Sequence[Sequence[float]], axis: int | None = None) -> np.ndarray:
@@ -16,7 +17,15 @@ def quartiles(values: Values | Sequence[Sequence[float]], axis: int | None = Non
         values: of any shape.
         axis: over which; all values if None.
     """
-    return np.quantile(np.asarray(values, dtype=float), [0.25, 0.5, 0.75], axis=axis)
+    numbers = np.asarray(values, dtype=float)
+    found = np.quantile(np.where(numbers == np.inf, HUGE, numbers), [0.25, 0.5, 0.75], axis=axis)
+    return np.where(found >= 1e-9 * HUGE, np.inf, found)
+
+
+def of_costs(values: Values | Sequence[Sequence[float]], axis: int | None = None) -> np.ndarray:
+    """The `quartiles` of costs; one that is not finite, as of a trial that failed, counts as infinite."""
+    costs = np.asarray(values, dtype=float)
+    return quartiles(np.where(np.isfinite(costs), costs, np.inf), axis)
 
 
 def median(values: Values) -> float:
@@ -28,6 +37,11 @@ def summary(values: Values) -> str:
     """Median and quartiles of a sample as they are printed: `median [q1, q3]`, three digits."""
     q1, middle, q3 = quartiles(values)
     return f"{middle:.3g} [{q1:.3g}, {q3:.3g}]"
+
+
+def deviation(values: Values) -> float:
+    """The standard deviation of a sample; NaN where one of its values is infinite, since it then has none."""
+    return np.nan if np.isinf(values).any() else float(np.std(values, ddof=1))
 
 
 def below(a: Values, b: Values) -> float:
@@ -46,4 +60,5 @@ def differ(a: Values, b: Values) -> float:
 
 def delta(a: Values, b: Values) -> float:
     """Cliff's delta P(a > b) − P(a < b): −1 where all of `a` are below all of `b`, 0 where neither tends to be."""
-    return float(np.sign(np.subtract.outer(np.asarray(a), np.asarray(b))).mean())
+    first, second = np.asarray(a), np.asarray(b)
+    return float((np.greater.outer(first, second).astype(float) - np.less.outer(first, second)).mean())

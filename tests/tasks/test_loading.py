@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import tasks
-from tasks.loading import absolute, is_problem, is_spec, load_object, short
+from tasks.loading import absolute, is_problem, is_spec, load_object, short, told_apart
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from torchds.optim import PIBB
 
@@ -84,3 +84,20 @@ def test_an_error_in_the_file_is_named_and_the_file_is_read_again(tmp_path):
 def test_a_task_of_a_file_is_made_with_the_options_of_its_base(file):
     assert tasks.make(f"{file}:Letter", shape="P").start.tolist() == [-4.8, -4.9]
     assert tasks.make(f"{file}:Letter").name == "letter"
+
+
+def test_what_has_one_short_name_is_shown_by_its_whole_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = told_apart(
+        ["a/opt.py:W", f"{tmp_path}/a/opt.py:W", "b/opt.py:W", "c.d:V", "old/p.json", "new/p.json", "cma"]
+    )
+    assert names == {
+        "a/opt.py:W": f"{tmp_path}/a/opt.py:W",
+        f"{tmp_path}/a/opt.py:W": f"{tmp_path}/a/opt.py:W",
+        "b/opt.py:W": f"{tmp_path}/b/opt.py:W",
+        "c.d:V": "V",
+        "old/p.json": f"{tmp_path}/old/p.json",
+        "new/p.json": f"{tmp_path}/new/p.json",
+        "cma": "cma",
+    }
+    assert told_apart(["a/opt.py:W", f"{tmp_path}/a/opt.py:W"]) == {"a/opt.py:W": "W", f"{tmp_path}/a/opt.py:W": "W"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from train.statistics import below, delta, differ, median, quartiles, summary
+from train.statistics import below, delta, deviation, differ, median, of_costs, quartiles, summary
 
 
 def test_quartiles_of_five_values_are_the_second_third_and_fourth(randn):
@@ -59,3 +59,14 @@ def test_cliffs_delta_counts_pairs(randn):
     pairs = [np.sign(x - y) for x in a for y in b]
     assert delta(a, b) == pytest.approx(sum(pairs) / 63, abs=1e-12)
     assert delta([1, 2], [3, 4]) == -1.0 and delta([3, 4], [1, 2]) == 1.0 and delta([1, 2], [1, 2]) == 0.0
+
+
+def test_infinite_values_are_the_largest_and_no_others_change():
+    inf, nan = np.inf, np.nan
+    assert quartiles([1.0, inf, 2.0, inf, inf]).tolist() == [2.0, inf, inf]
+    assert summary([1.0, 2.0, 3.0, inf, inf]) == "3 [2, inf]"
+    assert np.isnan(quartiles([1.0, nan])).all()
+    assert of_costs([1.0, nan, 2.0, -inf, 3.0]).tolist() == [2.0, 3.0, inf]
+    assert of_costs([[1.0, nan], [1.0, 3.0]], axis=1)[1].tolist() == [inf, 2.0]
+    assert np.isnan(deviation([1.0, inf, inf])) and deviation([1.0, 3.0]) == pytest.approx(np.sqrt(2), rel=1e-15)
+    assert delta([inf, 1.0], [inf, 2.0]) == -0.25

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from tqdm import tqdm
 
 from tasks import PROBLEMS
-from tasks.loading import is_spec, short
+from tasks.loading import is_spec, short, told_apart
 from tasks.transfer import TRANSFER
 from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
 from train.compare import report, suite
@@ -22,11 +22,12 @@ from train.learning.kept import found, learned, made
 from train.learning.learner import Learner
 from train.options import Optimizer, RunOptions, check_seed, options_class
 from train.searchers.named import METHODS, runs_vary
-from train.statistics import median
+from train.statistics import of_costs
 
 TUNING_SEED = 1000  # added to the seed of the reported runs
 
 CoordinateKind = Literal["plain", "trajectory"]
+FREE, STABLE = ("homogeneous", "trajectory"), ("stable", "stable-trajectory")  # the explorations of both kinds
 KNOWN = PROBLEMS | TRANSFER
 
 
@@ -37,11 +38,16 @@ class Candidate(NamedTuple):
     optimizer: str
     coordinates: str
 
-    @property
-    def label(self) -> str:
-        """As tables and legends have it."""
-        name = short(self.optimizer)
-        return name if self.coordinates == "plain" else f"{name}, {short(self.coordinates)}"
+    def label(self, names: Mapping[str, str]) -> str:
+        """As tables and legends have it, by what they call each place."""
+        name = names[self.optimizer]
+        return name if self.coordinates == "plain" else f"{name}, {names[self.coordinates]}"
+
+
+def named(candidates: Iterable[Candidate], records: Iterable[Mapping[str, Any]] = ()) -> dict[str, str]:
+    """What tables call problems, optimizers and coordinates, those of rows to be and of results that are added."""
+    others = [(record["task"], record["options"]["optimizer"]) for record in records]
+    return told_apart(spec for said in (*candidates, *others) for spec in said)
 
 
 @dataclass
@@ -58,7 +64,7 @@ class Compare:
     """As --optimizer of the training commands, yours among them."""
     coordinates: tuple[CoordinateKind | str, ...] = ("plain", "trajectory")
     """plain: noise or coordinates homogeneous in task space, each parameter by itself. trajectory: along the motion.
-    FILE.py:NAME or MODULE:NAME: those of your exploration."""
+    Where a task says that its policies stay stable, both do. FILE.py:NAME or MODULE:NAME: those of your exploration."""
     runs: int = 20
     """Reported runs of each row, in one batch; where nothing is random, one stands for all."""
     seed: int = 0
@@ -92,15 +98,16 @@ class Compare:
         self.check()
         if self.suite is not None:
             return self.all_tables()
-        added = [self.added(path) for path in self.add]
+        records = [RunFolder(path, "--add").results() for path in self.add]
         candidates = [
             Candidate(problem, optimizer, coordinates)
             for problem in self.tasks
             for optimizer in self.optimizers
             for coordinates in self.coordinates
         ]
+        names = named(candidates, records)
         with tqdm(total=len(candidates), unit="row", dynamic_ncols=True) as bar:
-            rows = self.rows(candidates, bar) + added
+            rows = self.rows(candidates, names, bar) + [added(record, names) for record in records]
         folder = new_folder(self.logdir / "compare")
         text = report.write(folder, rows, self.to_json(), versions())
         print(text)
@@ -116,8 +123,10 @@ class Compare:
                 factors = self.factors if part.tuned else (1.0,)
                 one = replace(self, suite=None, noise_std=part.noise, factors=factors)
                 candidates = [Candidate(problem, *method) for problem in part.problems for method in part.methods]
-                rows = one.rows(candidates, bar)
-                others = [self.added(suite.deep(self.logdir, name, self.updates)) for name in part.environments]
+                rows = one.rows(candidates, named(candidates), bar)
+                folders = [suite.deep(self.logdir, name, self.updates) for name in part.environments]
+                records = [RunFolder(folder).results() for folder in folders]
+                others = [added(record, named((), records)) for record in records]
                 made.append(suite.Made(part, [*rows, *others]))
         said = "" if self.updates is None else f" --updates {self.updates}"
         command = f"python -m train compare --suite docs --runs {self.runs} --seed {self.seed}{said}"
@@ -131,8 +140,8 @@ class Compare:
         print(f"suite.md in {folder}")
         return folder
 
-    def rows(self, candidates: Sequence[Candidate], bar: tqdm) -> list[Outcome]:
-        """All rows, each as soon as it is there on the disk.
+    def rows(self, candidates: Sequence[Candidate], names: Mapping[str, str], bar: tqdm) -> list[Outcome]:
+        """All rows, by what tables call them, each as soon as it is there on the disk.
 
         Raises:
             Interrupted: from the keyboard; the same command continues.
@@ -140,8 +149,9 @@ class Compare:
         outcomes = []
         try:
             for candidate in candidates:
-                bar.set_postfix_str(f"{candidate.problem}: {candidate.label}")
-                outcomes.append(self.row(candidate, bar))
+                problem, label = names[candidate.problem], candidate.label(names)
+                bar.set_postfix_str(f"{problem}: {label}")
+                outcomes.append(self.row(candidate, problem, label, bar))
                 bar.update()
         except KeyboardInterrupt:
             raise Interrupted("stopped; the same command continues") from None
@@ -170,8 +180,8 @@ class Compare:
 
     # ------------------------------------------------------------------ one row
 
-    def row(self, candidate: Candidate, bar: tqdm) -> Outcome:
-        """Tune, run, and summarise one candidate; what a method refuses is its row."""
+    def row(self, candidate: Candidate, problem: str, label: str, bar: tqdm) -> Outcome:
+        """Tune, run, and summarise one candidate, by what tables call it; what a method refuses is its row."""
         try:
             random = self.random(candidate)
             tuned = (
@@ -182,16 +192,15 @@ class Compare:
         except FileError:  # of a run that is damaged, or that somebody else makes now: no word about the method
             raise
         except TorchdsError as error:
-            return Outcome(short(candidate.problem), candidate.label, refused=str(error))
+            return Outcome(problem, label, refused=str(error))
         gradient = candidate.optimizer in METHODS and METHODS[candidate.optimizer].gradient
-        return Outcome(short(candidate.problem), candidate.label, record, best, tuned, random=random, gradient=gradient)
+        return Outcome(problem, label, record, best, tuned, random=random, gradient=gradient)
 
     def final(self, candidate: Candidate, factor: float, bar: tqdm) -> float:
-        """What the choice goes by: the median final cost of the tuning runs, infinite where it is not a number."""
+        """What the choice goes by: the median final cost of the tuning runs; one that is not finite counts as infinite."""
         random = self.random(candidate)
         runs, seed = (self.tuning_runs, self.seed + TUNING_SEED) if random else (1, self.seed)
-        cost = median(self.learned(self.options(candidate, factor, runs, seed), bar)["cost"][-1])
-        return cost if cost == cost else float("inf")
+        return float(of_costs(self.learned(self.options(candidate, factor, runs, seed), bar)["cost"][-1])[1])
 
     def random(self, candidate: Candidate) -> bool:
         """Whether runs of a candidate differ."""
@@ -202,14 +211,14 @@ class Compare:
         """The options of one batch of runs."""
         task, own = KNOWN.get(candidate.problem, (candidate.problem, {}))
         kind: Any = options_class(task)
-        stable = kind.exploration == "stable"  # the policy's goal is tied: so are all coordinates
-        usual = {"plain": kind.exploration, "trajectory": "stable-trajectory" if stable else "trajectory"}
+        stable = kind.exploration in STABLE  # the policy's goal is tied: so are all coordinates
+        usual = dict(zip(get_args(CoordinateKind), STABLE if stable else FREE, strict=True))
         if stable and candidate.optimizer in METHODS:
             own = {**own, "shrink": "none"}
         return kind(
             runs=runs,
             seed=seed,
-            updates=self.updates,
+            updates=kind.updates if self.updates is None else self.updates,
             optimizer=candidate.optimizer,
             exploration=usual.get(candidate.coordinates, candidate.coordinates),
             scale=factor,
@@ -241,17 +250,10 @@ class Compare:
         with folder.alone():
             return learned(folder, learner, show)
 
-    # ------------------------------------------------------------------ rows of others
 
-    def added(self, folder: Path) -> Outcome:
-        """A row from the results.json of another run.
-
-        Raises:
-            InvalidArgumentError: there is none.
-        """
-        record = RunFolder(folder, "--add").results()
-        shape = record["options"].get("shape")
-        problem = short(record["task"]) if shape is None else f"{short(record['task'])}-{shape}"
-        optimizer = record["options"]["optimizer"]
-        gradient = optimizer in METHODS and METHODS[optimizer].gradient
-        return Outcome(problem, f"{short(optimizer)}, added", record, gradient=gradient)
+def added(record: Mapping[str, Any], names: Mapping[str, str]) -> Outcome:
+    """A row from the results.json of another run, by what tables call its parts."""
+    shape, optimizer = record["options"].get("shape"), record["options"]["optimizer"]
+    problem = names[record["task"]] if shape is None else f"{names[record['task']]}-{shape}"
+    gradient = optimizer in METHODS and METHODS[optimizer].gradient
+    return Outcome(problem, f"{names[optimizer]}, added", dict(record), gradient=gradient)

@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 from torchds import plotting
 from torchds.monitor.events import Events
 from train.folder import make_folder, write_text
-from train.statistics import quartiles
+from train.statistics import of_costs
 from train.tables import markdown, write_csv
 
-HUGE = 1e300  # stands for infinity where numbers are interpolated
 REFERENCE = "pibb"  # whose final cost the others are held to
 
 COLORS = {
@@ -69,9 +68,7 @@ class Outcome:
 
     def quartiles(self) -> np.ndarray:
         """`(3, U+1)` quartiles and median (in the middle) of the cost over runs; what is not a number counts as infinite."""
-        cost = np.asarray(self.record["cost"], dtype=float)
-        values = quartiles(np.where(np.isfinite(cost), cost, HUGE), axis=1)
-        return np.where(values < 1e-9 * HUGE, values, np.inf)
+        return of_costs(self.record["cost"], axis=1)
 
     def reaches(self, level: float) -> int | None:
         """Roll-outs until the median is at `level` for the first time; None if never."""
@@ -229,9 +226,9 @@ def curves(rows: Sequence[Outcome]) -> Figure:
             axes.set_title(f"{problem}: {'along the motion' if kind == 'trajectory' else kind}", fontsize=10)
             axes.set_xlabel("roll-outs")
         line[0].set_ylabel("cost without noise")
-    handles = {
-        label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
+        limit(line[0], members)
+    pairs = (zip(*axes.get_legend_handles_labels(), strict=True) for axes in panels.flat)
+    handles = {label: line for each in pairs for line, label in each}
     figure.legend(list(handles.values()), list(handles), loc="outside right center", fontsize=9, frameon=False)
     return figure
 
@@ -244,25 +241,28 @@ def dashes(row: Outcome) -> str:
 
 def draw(axes: Axes, rows: Sequence[Outcome], color: dict[str, str], level: float | None) -> None:
     """Medians as lines, quartiles as bands."""
-    floor, ceiling = math.inf, 0.0
     for row in rows:
         q1, median, q3 = row.quartiles()
-        name = row.label.split(",")[0]
-        x = row.record["rollouts"]
-        width = 2.4 if name == REFERENCE else 1.5
-        axes.plot(
-            x, median, dashes(row), color=color[name], lw=width, label=name + (" (gradients)" if row.gradient else "")
-        )
+        name, x = row.label.split(",")[0], row.record["rollouts"]
+        label, width = name + " (gradients)" * row.gradient, 2.4 if name == REFERENCE else 1.5
+        axes.plot(x, median, dashes(row), color=color[name], lw=width, label=label)
         axes.fill_between(x, q1, np.where(np.isfinite(q3), q3, median), color=color[name], alpha=0.12, lw=0)
-        floor = min(floor, *(value for value in median if value > 0))
-        ceiling = max(ceiling, median[0])
-    if level is not None:
+    if level is not None and math.isfinite(level):
         axes.axhline(level, color="black", lw=0.8, ls=":", label="final median of PI^BB, plain")
-    plotting.log_scale(axes)
-    if ceiling > 0 and math.isfinite(floor):
-        low = axes.get_ylim()[0] if axes.has_data() else floor
-        axes.set_ylim(min(low, 0.7 * floor), 3 * ceiling)
     axes.grid(alpha=0.3)
+
+
+def limit(axes: Axes, rows: Sequence[Outcome]) -> None:
+    """The scale of all panels of a problem: one of logarithms where all medians are positive; what diverges leaves it."""
+    q1, medians = (np.concatenate([row.quartiles()[i] for row in rows]) for i in (0, 1))
+    low, high = q1.min(), max(row.quartiles()[1][0] for row in rows)
+    if (medians > 0).all():
+        plotting.log_scale(axes)
+        low, high = min(axes.get_ylim()[0], 0.7 * medians.min()), 3 * high
+    else:
+        low, high = low - 0.05 * (high - low), high + 0.5 * (high - low)
+    if low < high < math.inf:
+        axes.set_ylim(low, high)
 
 
 def write(folder: Path, rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, str]) -> str:

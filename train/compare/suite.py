@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
-from tasks import PROBLEMS
+from tasks import ENVIRONMENTS, PROBLEMS, options_of
 from tasks.transfer import TRANSFER
 from torchds.errors import InvalidArgumentError
 from train.compare.report import Outcome, by_problem, number
@@ -68,7 +68,8 @@ class Made(NamedTuple):
 
 def deep(logdir: Path, environment: Environment, updates: int | None) -> Path:
     """The folder of three runs of PPO at the budget of the others, which are made if they are not there."""
-    logdir = logdir / "compare" / "deep_rl" / environment
+    budget = options_of(ENVIRONMENTS[environment][0]).search.n_updates if updates is None else updates
+    logdir = logdir / "compare" / "deep_rl" / f"{environment}-{budget}"
     finished = sorted(logdir.glob(f"*/*/*/{RESULTS}"))
     return finished[-1].parent if finished else DeepRL(environment, updates=updates, logdir=logdir).main()
 

@@ -36,6 +36,11 @@ class Album:
         path, learner = self.learner.path, self.learner
         if path is None or learner.done % self.every:
             return
+        with figures.uncounted(learner.task):
+            self._add(path)
+
+    def _add(self, path: Rollout) -> None:
+        learner = self.learner
         rollouts = learner.history.rollouts[-1]
         if learner.n_updates >= TENTHS and path.x.shape[-1] == 2:
             self.events.figure("trial/motion", figures.progress(learner, path), rollouts)

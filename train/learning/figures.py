@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +15,16 @@ from torchds import GMRPolicy, Rollout, plotting
 from torchds.dmp import DMP
 from train.learning.history import History
 from train.learning.learner import Learner
+
+
+@contextmanager
+def uncounted(task: Task) -> Iterator[None]:
+    """What is tried in the block is not learned from: a task that counts its trials goes on as if there had been none."""
+    state = copy.deepcopy(task.state_dict())
+    try:
+        yield
+    finally:
+        task.load_state_dict(state)
 
 
 def of_run(learner: Learner) -> dict[str, Figure]:

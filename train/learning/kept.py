@@ -65,7 +65,8 @@ _made: dict[str, tuple[tasks.Task, dict[str, Any]]] = {}
 
 def made(options: RunOptions) -> tasks.Task:
     """The task of these options as if new, fitted once for all runs that follow each other."""
-    key = json.dumps([options.task, {name: str(value) for name, value in options.task_options().items()}])
+    own = {name: str(value) for name, value in options.task_options().items()}
+    key = json.dumps([options.task, options.device, own])
     if key not in _made:
         _made.clear()
         task = options.make_task()

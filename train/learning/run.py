@@ -241,10 +241,11 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
     learner = album.learner
     options, history = learner.options, learner.history
     folder.save_policy(learner.policy, learner.task)
-    for name, figure in figures.of_run(learner).items():
-        plotting.save(folder.path / f"{name}.png", figure)
-        events.figure(name, figure, history.rollouts[-1])
-    album.finish(folder.path)
+    with figures.uncounted(learner.task):
+        for name, figure in figures.of_run(learner).items():
+            plotting.save(folder.path / f"{name}.png", figure)
+            events.figure(name, figure, history.rollouts[-1])
+        album.finish(folder.path)
     events.options(telling(options))
     events.flush()
     folder.write_results(results(options.task, options.to_json(), history))

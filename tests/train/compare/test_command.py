@@ -3,15 +3,17 @@
 import csv
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.motions import Short
+from tests.tasks.sketch.drawn import FULL
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.compare import command as compare
-from train.compare.command import Compare
+from train.compare.command import Candidate, Compare, added, named
 from train.folder import Interrupted
 from train.learning import kept
 from train.learning.learner import Learner
@@ -162,3 +164,47 @@ def test_wrong_options_are_refused_before_anything_runs(options, error, words, t
     with pytest.raises(error, match=words):
         Compare(**options, logdir=tmp_path).main()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("usual", "plain", "trajectory"),
+    [
+        ("trajectory", "homogeneous", "trajectory"),
+        ("gaussian", "homogeneous", "trajectory"),
+        ("stable", "stable", "stable-trajectory"),
+        ("stable-trajectory", "stable", "stable-trajectory"),
+    ],
+)
+def test_coordinates_are_what_they_are_called_whatever_a_task_takes_by_itself(usual, plain, trajectory, tmp_path):
+    file = str(tmp_path / "mine.json")
+    replace(FULL, learners=({"exploration": usual, "updates": 7, "rollouts": 3},)).write(file)
+
+    def options(coordinates, **given):
+        return Compare(tasks=(file,), **given).options(Candidate(file, "cma", coordinates), 1.0, 2, 0)
+
+    assert [options(kind).exploration for kind in ("plain", "trajectory")] == [plain, trajectory]
+    assert (options("plain").updates, options("plain").rollouts) == (7, 3)
+    assert options("plain", updates=2).updates == 2
+    assert options("plain").shrink == ("none" if plain == "stable" else "all")
+
+
+@pytest.mark.parametrize(
+    ("costs", "choice"),
+    [([1.0, 2.0, np.nan], 2.0), ([3.0, np.nan, np.inf], np.inf), ([1.0, 2.0, 3.0], 2.0), ([1.0, -np.inf, 2.0], 2.0)],
+)
+def test_a_factor_is_judged_by_the_median_that_the_report_shows(costs, choice, monkeypatch):
+    monkeypatch.setattr(Compare, "learned", lambda *_: {"cost": [costs]})
+    monkeypatch.setattr(Compare, "random", lambda *_: True)
+    assert Compare().final(Candidate("via_point-N", "pibb", "plain"), 1.0, None) == choice
+
+
+def test_places_of_one_short_name_have_rows_and_problems_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one, other = (Candidate(f"{folder}/p.json", f"{folder}/opt.py:Winner", "plain") for folder in "ab")
+    record = {"task": f"{tmp_path}/c/p.json", "options": {"optimizer": "ppo"}}
+    names = named([one, other._replace(coordinates="c.d:Noise")], [record])
+    assert [names[each.problem] for each in (one, other)] == [f"{tmp_path}/a/p.json", f"{tmp_path}/b/p.json"]
+    assert one.label(names) == f"{tmp_path}/a/opt.py:Winner"
+    assert other._replace(coordinates="c.d:Noise").label(names) == f"{tmp_path}/b/opt.py:Winner, Noise"
+    assert (added(record, names).problem, added(record, names).label) == (f"{tmp_path}/c/p.json", "ppo, added")
+    assert one.label(named([one])) == "Winner" and named([one])[one.problem] == "p"

@@ -115,6 +115,25 @@ def test_curves_have_a_panel_for_each_problem_and_kind():
     assert line.get_ydata().tolist() == [9.0, 2.0]
 
 
+@pytest.mark.parametrize(
+    ("final", "scale"),
+    [((2.0, 1.0), "log"), ((-3.0, 1.0), "linear"), ((0.0, 1.0), "linear"), ((float("inf"), 1.0), "log")],
+)
+def test_a_problem_has_one_scale_and_logarithms_only_where_all_medians_are_positive(final, scale):
+    rows = [outcome("pibb", final[0]), outcome("pibb, trajectory", final[1]), outcome("pibb", 1.0, problem="q")]
+    figure = curves(rows)
+    assert [axes.get_yscale() for axes in figure.axes] == [scale, scale, "log", "log"]
+    low, high = figure.axes[0].get_ylim()
+    shown = [value for value in (*final, 9.0) if np.isfinite(value)]
+    assert low < min(shown) and max(shown) < high < 4 * max(shown) and figure.axes[1].get_ylim() == (low, high)
+
+
+def test_rewards_alone_have_curves_too():
+    rewards = {"cost": [[-1.0] * 3, [-5.0] * 3], "rollouts": [0, 10]}
+    (axes,) = curves([Outcome("p", "pibb", rewards)]).axes
+    assert axes.get_yscale() == "linear" and axes.get_ylim()[0] < -5.0 < -1.0 < axes.get_ylim()[1]
+
+
 @pytest.mark.parametrize("kind", ["-", "-.", "--", ":"])
 def test_the_colour_blind_tell_the_rows_of_one_kind_of_line_apart(kind):
     gradient = ("adam", "sgd", "lbfgs")

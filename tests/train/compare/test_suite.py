@@ -124,3 +124,8 @@ def test_agents_that_are_there_are_not_learned_again(tmp_path, monkeypatch):
     first = suite.deep(tmp_path, "ViaPointN", 3)
     monkeypatch.setattr(suite, "DeepRL", None)
     assert suite.deep(tmp_path, "ViaPointN", 3) == first
+    with pytest.raises(TypeError):  # nothing of another budget is there
+        suite.deep(tmp_path, "ViaPointN", 4)
+    monkeypatch.setattr(suite, "DeepRL", Agent)
+    own = suite.deep(tmp_path, "ViaPointN", None)
+    assert own != first and own == suite.deep(tmp_path, "ViaPointN", 50)

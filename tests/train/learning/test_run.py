@@ -5,11 +5,16 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.metadata import parse_session_start_info_plugin_data
 
+from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from train.folder import RunFolder
+from train.learning import run as run_module
+from train.learning.learner import Learner
 from train.learning.run import resuming, run
 from train.options import options_for
 
@@ -176,3 +181,42 @@ def test_a_learner_that_finds_noise_says_how_much_there_was(undrawn, tmp_path, c
     assert {"surrogate/noise", "surrogate/length", "surrogate/predicted_cost", "surrogate/error"} <= set(
         EventAccumulator(str(folder)).Reload().Tags()["scalars"]
     )
+
+
+class Tired(Short):
+    """A letter that costs more from trial to trial."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.trials = torch.zeros(())
+
+    def rollout(self, policy):
+        self.trials += 1
+        return super().rollout(policy)
+
+    def cost_terms(self, path):
+        return {name: term * (1 + 0.1 * self.trials) for name, term in super().cost_terms(path).items()}
+
+    def state_dict(self):
+        return {"trials": self.trials}
+
+    def load_state_dict(self, state):
+        self.trials = state["trials"].clone()
+
+
+@pytest.mark.slow
+def test_trials_that_are_made_for_pictures_do_not_count(tmp_path, monkeypatch):
+    drawn = []
+
+    def draw(learner, *path):
+        drawn.append(learner.task.rollout(learner.initial))
+        return Figure() if path else {}
+
+    monkeypatch.setattr(run_module.figures, "progress", draw)
+    monkeypatch.setattr(run_module.figures, "of_run", draw)
+    options = options_for("via_point", updates=10, rollouts=3)
+    plain, pictured = Learner(options, Tired()).learn(), Learner(options, Tired())
+    (tmp_path / "mine").mkdir()
+    run_module.learn(RunFolder(tmp_path / "mine"), pictured)
+    assert len(drawn) == 12
+    assert pictured.history.cost == plain.history.cost and pictured.task.trials == plain.task.trials == 21

@@ -44,8 +44,9 @@ def dug(tmp_path):
     (experiment.folder / "trials.json").write_text(json.dumps({"trials": measured}))
     for run in range(5):
         folder = experiment.run_folder("as in the paper", 400, run).path
+        options = experiment.run_options("as in the paper", 400, run)
         folder.mkdir()
         gravel = [[g + 0.003 * run] for g in (-2.0, -1.5, -1.2, -1.4, -1.9, -2.1)]
-        history = History([0] * 6, gravel, {"gravel": gravel}, [0] * 6, [0] * 6)
-        RunFolder(folder).write_results(results("lwr_digging", {}, history))
+        history = History([0, 8, 16, 24, 32, 40], gravel, {"gravel": gravel}, [0] * 6, [0] * 6)
+        RunFolder(folder).write_results(results("lwr_digging", options.to_json(), history))
     return experiment

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tasks.loading import short
+import numpy as np
+
+from tasks import options_of
+from tasks.loading import told_apart
 from train.compare.report import Outcome
 from train.compare.sweep.spec import Job
 from train.options import RunOptions
 from train.searchers.named import METHODS
 
-NAMED = ("seed", "optimizer", "exploration", "shape", "logdir")  # they have places of their own in a row
+CALLED = ("optimizer", "exploration")  # as tables call them
+NAMED = ("seed", "shape", "logdir", *CALLED)  # they have places of their own in a row
+Names = Mapping[str, Mapping[str, str]]  # what tables call each value of an option
 
 
 def rows(jobs: Sequence[Job], records: Mapping[str, dict[str, Any]], failures: Mapping[str, str]) -> list[Outcome]:
@@ -28,18 +34,24 @@ def rows(jobs: Sequence[Job], records: Mapping[str, dict[str, Any]], failures: M
         for name in dict.fromkeys(name for each in values for name in each)
         if name not in NAMED and len({repr(each[name]) for each in values if name in each}) > 1
     ]
-    groups: dict[tuple[str, str], list[Job]] = {}
+    names = {name: told_apart(str(each[name]) for each in values if name in each) for name in (*CALLED, *varying)}
+    names["task"] = told_apart([job.options.task for job in jobs], lambda spec: options_of(spec).name)
+    groups: dict[str, list[Job]] = {}
     for job in jobs:
-        groups.setdefault((problem(job.options), label(job.options, varying)), []).append(job)
+        groups.setdefault(but_seed(job.options), []).append(job)
     found = []
-    for (which, how), members in groups.items():
+    for members in groups.values():
+        options = members[0].options
+        which, how = problem(options, names), label(options, names, varying)
         made = [records[job.name] for job in members if job.name in records]
-        method = METHODS.get(members[0].options.optimizer)
+        method = METHODS.get(options.optimizer)
         gradient = method is not None and method.gradient
         why = [failures[job.name] for job in members if job.name in failures]
         if made:
-            random = len(made) > 1 or len(made[0]["cost"][-1]) > 1 or method is None or method.random
-            found.append(Outcome(which, how, together(made), random=random, gradient=gradient))
+            record = together(made)
+            differ = any(len(np.unique(costs)) > 1 for costs in record["cost"])
+            random = differ or method is None or method.random
+            found.append(Outcome(which, how, record, random=random, gradient=gradient))
         if why:
             found.append(
                 Outcome(which, f"{how} ({len(why)} failed)" if made else how, refused="; ".join(sorted({*why})))
@@ -47,19 +59,25 @@ def rows(jobs: Sequence[Job], records: Mapping[str, dict[str, Any]], failures: M
     return found
 
 
-def problem(options: RunOptions) -> str:
+def but_seed(options: RunOptions) -> str:
+    """What runs that differ by their seeds alone have in common."""
+    said = {name: value for name, value in options.to_json().items() if name not in ("seed", "logdir")}
+    return json.dumps([options.task, said], sort_keys=True)
+
+
+def problem(options: RunOptions, names: Names) -> str:
     """What is learned."""
-    shape = getattr(options, "shape", None)
-    return options.name if shape is None else f"{options.name}-{shape}"
+    shape, name = getattr(options, "shape", None), names["task"][options.task]
+    return name if shape is None else f"{name}-{shape}"
 
 
-def label(options: RunOptions, varying: Sequence[str]) -> str:
+def label(options: RunOptions, names: Names, varying: Sequence[str]) -> str:
     """The optimizer with the options that differ between jobs, and what it searches along where that is not the task's own."""
     said = options.to_json()
-    own = [f"{name}={short(str(said[name]))}" for name in varying if name in said]
+    own = [f"{name}={names[name][str(said[name])]}" for name in varying if name in said]
     usual = type(options)().exploration
-    along = "" if options.exploration == usual else f", {short(options.exploration)}"
-    return " ".join([short(options.optimizer), *own]) + along
+    along = "" if options.exploration == usual else f", {names['exploration'][options.exploration]}"
+    return " ".join([names["optimizer"][options.optimizer], *own]) + along
 
 
 def together(records: Sequence[dict[str, Any]]) -> dict[str, Any]:

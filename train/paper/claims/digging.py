@@ -10,6 +10,7 @@ import numpy as np
 from train.paper.claims.base import Check, Claim, lower, within
 from train.paper.measured.base import Setting
 from train.paper.measured.digging import PAPER, UNIFORM, best_uniform, history, means, trials
+from train.statistics import deviation
 
 SOFT, STIFF = 150.0, 400.0  # N/m
 BEST = (200.0, 350.0)  # N/m
@@ -50,7 +51,7 @@ def best_between(setting: Setting) -> list[Check]:
     costs = {s: trials(recorded, f"uniform-{s:g}")["total"] for s in UNIFORM}
     best = float(best_uniform(recorded).removeprefix("uniform-"))
     between = min((s for s in UNIFORM if low <= s <= high), key=lambda s: costs[s].mean())
-    cost, other = (f"{costs[s].mean():.2f} ± {costs[s].std(ddof=1):.2f}" for s in (best, between))
+    cost, other = (f"{costs[s].mean():.2f} ± {deviation(costs[s]):.2f}" for s in (best, between))
     what = f"uniform stiffness with the lowest mean cost, {cost}, where the lowest from {low:g} to {high:g} is {other} [N/m]"
     return [within(what, best, low, high)]
 

@@ -10,6 +10,7 @@ from torchds.errors import InvalidArgumentError
 from train.learning.figures import draw_curves
 from train.paper.figures.base import Made
 from train.paper.measured.digging import (
+    SEARCH,
     SEARCHES,
     STARTS,
     TRIALS,
@@ -17,11 +18,12 @@ from train.paper.measured.digging import (
     Experiment,
     Sample,
     best_uniform,
+    budget,
     history,
     means,
     trials,
 )
-from train.statistics import below, delta, median, summary
+from train.statistics import below, delta, deviation, median, summary
 
 COLORS = dict(zip(SEARCHES, (plotting.AFTER, plotting.GAUSSIAN), strict=True))
 MARKERS = dict(zip(SEARCHES, ("x", "P"), strict=True))
@@ -60,7 +62,7 @@ def figure_15(experiment: Experiment) -> Made:
 def figure_16(experiment: Experiment) -> Made:
     """Learning curves from both stiffnesses, of both learners."""
     figure = Figure(figsize=(14, 10), layout="constrained")
-    lines = []
+    lines, n_rollouts = [], experiment.options.rollouts or SEARCH.n_rollouts
     for row, search in zip(figure.subplots(2, 2), SEARCHES, strict=True):
         for axes, start in zip(row, STARTS, strict=True):
             curves = history(experiment, search, start)
@@ -79,9 +81,9 @@ def figure_16(experiment: Experiment) -> Made:
     _needed(experiment, bool(lines))
     return Made(
         figure,
-        "Cost of the policy without noise after each update of eight roll-outs, by terms: medians and quartiles over learning "
-        "runs, one trial of each; trials of one policy differ by some tenths, since beds do. The gravel's term is 3.5 N less "
-        "the load.\n\n" + "\n".join(lines),
+        f"Cost of the policy without noise after each update of {n_rollouts} roll-outs, by terms: medians and quartiles over "
+        "learning runs, one trial of each; trials of one policy differ by some tenths, since beds do. The gravel's term is "
+        "3.5 N less the load.\n\n" + "\n".join(lines),
     )
 
 
@@ -93,7 +95,7 @@ def figure_17(experiment: Experiment) -> Made:
     figure = Figure(figsize=(9, 6), layout="constrained")
     axes = figure.subplots()
     mean = np.array([sample["total"].mean() for sample in uniform])
-    std = np.array([sample["total"].std(ddof=1) for sample in uniform])
+    std = np.array([deviation(sample["total"]) for sample in uniform])
     n = len(uniform[0]["total"])
     axes.plot(UNIFORM, mean, "o-", color=plotting.TERMS[0], label=f"uniform stiffness, mean of {n} trials")
     axes.fill_between(
@@ -112,7 +114,7 @@ def figure_17(experiment: Experiment) -> Made:
         axes.errorbar(
             start,
             values.mean(),
-            values.std(ddof=1) if len(values) > 1 else None,
+            deviation(values) if len(values) > 1 else None,
             fmt=MARKERS[search],
             ms=11,
             mew=2.5,
@@ -134,10 +136,10 @@ def figure_17(experiment: Experiment) -> Made:
     axes.legend(fontsize=9)
     return Made(
         figure,
-        "Total cost of policies learned from the same demonstrations with uniform stiffness, and after 80 roll-outs of "
-        f"learning, at the stiffness that each started from. Every policy is tried {TRIALS} times on beds that no learning has "
-        "met. Mean ± standard deviation, of uniform stiffness over trials, of what was learned over runs, each with the mean "
-        "of its trials:\n\n"
+        "Total cost of policies learned from the same demonstrations with uniform stiffness, and after "
+        f"{budget(experiment)} roll-outs of learning, at the stiffness that each started from. Every policy is tried {TRIALS} "
+        "times on beds that no learning has met. Mean ± standard deviation, of uniform stiffness over trials, of what was "
+        "learned over runs, each with the mean of its trials:\n\n"
         f"| policy | {' | '.join(COLUMNS)} |\n|{'---|' * (1 + len(COLUMNS))}\n"
         + "\n".join(rows)
         + "\n\nTotal costs of runs as median [quartiles], p one-sided:\n\n"
@@ -151,7 +153,7 @@ def _row(name: str, sample: Sample) -> str:
     cells = [name]
     for term, n in COLUMNS.values():
         values = sample[term]
-        cells.append(f"{values.mean():.{n}f}" + (f" ± {values.std(ddof=1):.{n}f}" if len(values) > 1 else ""))
+        cells.append(f"{values.mean():.{n}f}" + (f" ± {deviation(values):.{n}f}" if len(values) > 1 else ""))
     return f"| {' | '.join(cells)} |"
 
 

@@ -6,6 +6,7 @@ spread over many sittings. The first run of everything comes first, then the sec
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -16,7 +17,9 @@ import torch
 from tqdm import tqdm
 
 import tasks
+from tasks import options_of
 from torchds import GMRPolicy
+from torchds.errors import FileError
 from torchds.files import read_sealed, write_sealed
 from train.folder import OPTIONS, RESULTS, RunFolder, check_identity, numbers, say_versions, versions
 from train.learning.history import History
@@ -32,6 +35,7 @@ RUNS = 6  # learning runs of each learner from each start, and groups of trials 
 TRIALS = 5  # of each policy, in a group on beds of its own
 TRIALS_FILE = "trials.json"
 TRIALS_SEED = 1000  # of the beds of the first group, which no learning run has met
+SEARCH = options_of("lwr_digging").search  # its numbers of updates and roll-outs hold where no others are said
 Terms = dict[str, list[float]]
 Sample = dict[str, np.ndarray]
 
@@ -56,6 +60,25 @@ class Experiment:
         """Where one learning run stands, or would stand."""
         return RunFolder(self.folder / f"{SEARCHES[search]['optimizer']}-{start:g}-{run}")
 
+    def run_options(self, search: str, start: float, run: int = 0) -> RunOptions:
+        """The options of one learning run."""
+        return replace(self.options, **{**SEARCHES[search], "initial_stiffness": start, "seed": self.seed + run})
+
+    def finished(self, search: str, start: float) -> dict[Path, dict[str, Any]]:
+        """The results of all finished runs of a learner from a stiffness, by their folders.
+
+        Raises:
+            FileError: they are damaged, or of other options.
+        """
+        prefix = self.run_folder(search, start).path.name.removesuffix("0")
+        runs = [path.name.removeprefix(prefix) for path in self.folder.glob(f"{prefix}*")]
+        found = {}
+        for run in sorted(int(run) for run in runs if run.isdigit()):
+            if (folder := self.run_folder(search, start, run)).has(RESULTS):
+                found[folder.path] = folder.results()
+                check(folder.path / RESULTS, found[folder.path], self.run_options(search, start, run))
+        return found
+
     def recorded(self) -> dict[str, Terms]:
         """The trials that are there: costs and diagnostics `[TRIALS]` by term, "total" among them, of each name.
 
@@ -67,7 +90,7 @@ class Experiment:
             return {}
         content = read_sealed(path, unsealed=("trials", "versions"))
         if "options" in content:
-            check_identity(path, content, self.options)
+            check(path, content, self.options)
             say_versions(path, content["versions"])
         return numbers(content["trials"])
 
@@ -82,14 +105,15 @@ class Experiment:
 
     def learned(self, search: str, start: float, run: int = 0) -> Learner:
         """One learning run, finished: made, continued or found."""
-        folder = self.run_folder(search, start, run)
-        options = replace(self.options, **{**SEARCHES[search], "initial_stiffness": start, "seed": self.seed + run})
+        folder, options = self.run_folder(search, start, run), self.run_options(search, start, run)
         if not folder.has(OPTIONS):
             folder.begin(options.task, options.to_json())
-        if not folder.has(RESULTS):
-            learn(replace(options, resume=folder.path))
+        if folder.has(RESULTS):
+            check(folder.path / RESULTS, folder.results(), options)
         else:
-            check_identity(folder.path / RESULTS, folder.results(), options)
+            begun = folder.options()
+            check(folder.path / OPTIONS, {"task": begun.task, "options": begun.to_json()}, options)
+            learn(replace(options, resume=folder.path))
         finished = Learner(folder.options())
         folder.restore(finished)
         return finished
@@ -130,13 +154,19 @@ class Experiment:
 def trials(recorded: dict[str, Terms], kind: str) -> Sample:
     """All trials of a kind `(n,)` by term, "uniform-150" say or "recommended-400"; empty where there are none."""
     groups = [terms for name, terms in recorded.items() if name.rpartition("-")[0] == kind]
-    return {term: np.concatenate([group[term] for group in groups]) for term in (groups[0] if groups else {})}
+    return {term: np.concatenate([values(group, term) for group in groups]) for term in (groups[0] if groups else {})}
 
 
 def means(recorded: dict[str, Terms], kind: str) -> Sample:
     """The mean of each group of trials of a kind `(runs,)` by term: one number for each learning run."""
     groups = [terms for name, terms in recorded.items() if name.rpartition("-")[0] == kind]
-    return {term: np.array([np.mean(group[term]) for group in groups]) for term in (groups[0] if groups else {})}
+    return {term: np.array([values(group, term).mean() for group in groups]) for term in (groups[0] if groups else {})}
+
+
+def values(group: Terms, term: str) -> np.ndarray:
+    """The trials of a group by one term `(n,)`; a cost that is not finite, of a trial that failed, is infinite."""
+    found = np.asarray(group[term], dtype=float)
+    return found if "/" in term else np.where(np.isfinite(found), found, np.inf)  # a diagnostic is no cost
 
 
 def best_uniform(recorded: dict[str, Terms]) -> str:
@@ -146,17 +176,52 @@ def best_uniform(recorded: dict[str, Terms]) -> str:
 
 
 def history(experiment: Experiment, search: str, start: float) -> History | None:
-    """The learning curves of all finished runs of a learner from a stiffness, as of one batch; None where there are none."""
-    folders = [experiment.run_folder(search, start, run) for run in range(experiment.runs)]
-    found = [folder.results() for folder in folders if folder.has(RESULTS)]
+    """The learning curves of all finished runs of a learner from a stiffness, as of one batch; None where there are none.
+
+    Raises:
+        FileError: runs of other options than the experiment's, or not all of one length.
+    """
+    found = experiment.finished(search, start)
     if not found:
         return None
+    first, rollouts = next((path, each["rollouts"]) for path, each in found.items())
+    for path, each in found.items():
+        if each["rollouts"] != rollouts:
+            raise FileError(
+                f"{path} has {len(each['rollouts']) - 1} updates and {first} has {len(rollouts) - 1}; runs that are shown "
+                "together have to be of one length: remove one of them"
+            )
+    records = list(found.values())
 
     def together(columns: list[list[list[float]]]) -> list[list[float]]:
         return [[value for row in rows for value in row] for rows in zip(*columns, strict=True)]
 
     return History(
-        rollouts=found[0]["rollouts"],
-        cost=together([each["cost"] for each in found]),
-        terms={name: together([each["terms"][name] for each in found]) for name in found[0]["terms"]},
+        rollouts=rollouts,
+        cost=together([each["cost"] for each in records]),
+        terms={name: together([each["terms"][name] for each in records]) for name in records[0]["terms"]},
     )
+
+
+def budget(experiment: Experiment) -> int:
+    """The roll-outs of a learning run: of those that are there, or as they are planned."""
+    for which in product(SEARCHES, STARTS):
+        if (curves := history(experiment, *which)) is not None:
+            return curves.rollouts[-1]
+    updates = SEARCH.n_updates if experiment.options.updates is None else experiment.options.updates
+    return updates * (experiment.options.rollouts or SEARCH.n_rollouts)
+
+
+def check(path: Path, content: Mapping[str, Any], options: RunOptions) -> None:
+    """Refuse a file of another run, or of one with another number of updates.
+
+    Raises:
+        FileError: what differs.
+    """
+    check_identity(path, content, options)
+    there, here = (SEARCH.n_updates if n is None else n for n in (content["options"].get("updates"), options.updates))
+    if there != here:
+        raise FileError(
+            f"{path} was made with {there} updates, and the experiment has {here}; give --updates {there} to go on with it, or "
+            "another --logdir"
+        )
