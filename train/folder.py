@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tasks import Task
+from tasks.plain import plain
 from torchds import GMRPolicy, files, kernels, load_policy
 from torchds.dmp import DMP
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
@@ -216,7 +217,7 @@ def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) 
         FileError: what differs.
     """
     here, usual = options.to_json(), type(options)().to_json()
-    there = content["options"]
+    there = plain(content["options"])  # older checkpoints hold tuples and infinities as they were
     differing = [
         f"{name} {there.get(name, usual[name])} there and {here[name]} here"
         for name in here

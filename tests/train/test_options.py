@@ -82,6 +82,7 @@ def test_options_of_a_task_of_ones_own_come_back_from_json_and_are_those_of_the_
     assert said == options.to_json()
     assert type(options).from_json(said) == options
     check_identity(tmp_path, {"task": options.task, "options": said}, options)
+    check_identity(tmp_path, {"task": options.task, "options": {**said, "gains": options.gains}}, options)
 
 
 @pytest.mark.parametrize(
