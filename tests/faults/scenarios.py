@@ -28,7 +28,7 @@ from train.paper.measured import digging as experiment_module
 torch.set_num_threads(1)
 tqdm.tqdm.monitor_interval = 0  # no thread beside the one that is forked
 run_module.SAVE_EVERY = kept.SAVE_EVERY = 0.0  # a checkpoint after every update: more places to be killed at
-run_module.figures = SimpleNamespace(of_run=lambda learner: {})
+run_module.figures = SimpleNamespace(of_run=lambda learner: {}, uncounted=run_module.figures.uncounted)
 run_module.Album = lambda events, learner: SimpleNamespace(
     learner=learner, add=lambda: None, finish=lambda folder: None
 )

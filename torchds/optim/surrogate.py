@@ -294,8 +294,11 @@ class SurrogatePIBB(PIBB):
         state[name] = torch.cat([state.get(name, values[:0]), values])[-self.memory :]
 
     @torch.no_grad()
-    def recommend(self) -> Recommendation:
+    def recommend(self, *, present: bool = True) -> Recommendation:
         """The policy to deploy: of the present one and those remembered, the one that is predicted to be cheapest.
+
+        Args:
+            present: whether the present one counts, which was not tried since the last update.
 
         Raises:
             InvalidArgumentError: nothing was tried yet.
@@ -308,7 +311,9 @@ class SurrogatePIBB(PIBB):
         ]
         coordinates = self._coordinates(from_here)
         regression = Regression(coordinates[:-1], known["tried_cost"], self.noisy, known.get("noise_ratio"))
-        cost, best = regression.predict(coordinates).min(0, keepdim=True)
+        predicted = regression.predict(coordinates)
+        predicted[:-1].masked_fill_(failures(known["tried_cost"]), torch.inf)
+        cost, best = predicted[: len(predicted) - (not present)].min(0, keepdim=True)
         error = regression.standard_error(coordinates).take_along_dim(best, 0)
         chosen = {
             p: p + e.take_along_dim(best.reshape(*best.shape, *(1,) * (e.ndim - best.ndim)), 0)[0]

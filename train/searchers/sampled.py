@@ -13,7 +13,7 @@ from torch.optim.lr_scheduler import LambdaLR
 from tasks import Task
 from tasks.loading import is_spec
 from torchds import GMRPolicy
-from torchds.errors import InvalidArgumentError
+from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from torchds.exploration import Exploration
 from torchds.monitor import of_search
 from torchds.optim import (
@@ -49,17 +49,44 @@ class SampledSearch(Searcher):
     def __init__(self, optim: PolicySearch, decay: LambdaLR, *, jacobian: bool) -> None:
         self.optim, self.decay, self.jacobian = optim, decay, jacobian
         self.n_rollouts, self.costs_per_step = optim.n_rollouts, optim.costs_per_step
+        self.lost = 0  # trials of the last step, where all of them failed
 
     @property
     def failed(self) -> int:
         """Trials of the last step without a finite cost, all runs together."""
-        return 0 if self.optim.last is None else int(self.optim.last.failed.sum())
+        return self.lost if self.lost or self.optim.last is None else int(self.optim.last.failed.sum())
 
     def step(self, closure: Closure) -> Tensor:
-        """One update of the optimizer and of the decay."""
-        cost = self.optim.step(closure)
+        """One update of the optimizer and of the decay.
+
+        Where all trials fail there is no update, and a search that remembers earlier ones goes back to the policy that they
+        speak for.
+
+        Raises:
+            AllRolloutsFailedError: all trials failed, and there is nothing to go back to.
+        """
+        self.lost = 0
+        try:
+            cost = self.optim.step(closure)
+        except AllRolloutsFailedError as error:
+            cost = self._back(error)
+            self.lost = self.n_rollouts * cost.numel()
         self.decay.step()
         return cost
+
+    @torch.no_grad()
+    def _back(self, error: AllRolloutsFailedError) -> Tensor:
+        """Go back to a policy that was tried, and what it is thought to cost."""
+        if not isinstance(self.optim, SurrogatePIBB):
+            raise error
+        try:
+            known = self.optim.recommend(present=False)
+        except InvalidArgumentError:  # nothing was tried before
+            raise error from None
+        values = known.parameters.values() if isinstance(known.parameters, dict) else known.parameters
+        for p, value in zip(self.optim.parameters, values, strict=True):
+            p.copy_(value)
+        return known.cost
 
     def closure(self, task: Task, policy: GMRPolicy) -> Closure:
         """Trials without the control cost, which the optimizer adds by itself."""

@@ -220,6 +220,24 @@ def test_the_memory_holds_the_last_roll_outs():
     assert_close(optim.state[a]["tried_cost"], expected)
 
 
+def test_a_policy_that_failed_is_never_recommended():
+    optim, closure = make((3,))
+    a, b = optim.param_groups[0]["params"]
+
+    def half_fails():
+        costs = closure()
+        costs[costs < costs.median(0).values] = torch.inf  # the nearer ones
+        return costs
+
+    optim.step(half_fails)
+    tried = torch.cat([optim.state[a]["tried"].flatten(-2), optim.state[b]["tried"]], -1)
+    for present in (True, False):
+        found = torch.cat([part.reshape(3, -1) for part in optim.recommend(present=present).parameters], -1)
+        same = (tried == found).all(-1)
+        assert not (same & optim.state[a]["tried_cost"].isinf()).any()
+        assert present or same.any(0).all()
+
+
 def test_normals_that_are_given_are_tried_as_they_are():
     optim, closure = make()
     optim.step(closure)

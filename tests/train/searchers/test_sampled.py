@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from tests.motions import Short
-from torchds.errors import InvalidArgumentError
+from torchds.errors import AllRolloutsFailedError, InvalidArgumentError
 from train.learning.learner import Learner
 from train.options import options_for
 from train.searchers.named import make_searcher
@@ -69,6 +69,34 @@ def test_failed_trials_are_counted(task):
 
     mine.searcher.step(closure)
     assert mine.searcher.failed == 2
+
+
+def failing(mine):
+    """Trials that all fail."""
+    return lambda: mine.closure() * torch.nan
+
+
+@pytest.mark.parametrize("optimizer", ["surrogate", "pibb"])
+def test_where_all_trials_fail_before_any_was_seen_the_search_ends(task, optimizer):
+    mine = learner(task, optimizer=optimizer)
+    with pytest.raises(AllRolloutsFailedError):
+        mine.searcher.step(failing(mine))
+
+
+def test_where_all_trials_fail_a_search_with_a_memory_goes_back_to_one_that_did_not(task):
+    mine = learner(task, optimizer="surrogate", exploration="trajectory", updates=9)
+    for _ in range(3):
+        mine.searcher.step(mine.closure)
+    before = mine.policy.pack().detach().clone()
+    state = mine.searcher.optim.state
+    tried = mine.policy.pack(lambda p: state[p]["tried"])  # (M, runs, P)
+    cost = mine.searcher.step(failing(mine))
+    now = mine.policy.pack().detach()
+    assert cost.isfinite().all() and mine.searcher.failed == 2 * 5
+    assert not torch.equal(now, before) and (tried == now).all(-1).any(0).all()
+    assert torch.equal(mine.policy.pack(lambda p: state[p]["tried"]), tried)
+    mine.searcher.step(mine.closure)
+    assert mine.searcher.failed == 0
 
 
 def test_the_jacobian_of_noise_along_the_motion_is_counted_in_every_update(task):

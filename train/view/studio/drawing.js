@@ -25,9 +25,9 @@ export default {
     this.pointer = null;
     const events = { pointerdown: this.down, pointermove: this.move, pointerup: this.up, pointercancel: this.up };
     if (this.active) for (const [name, call] of Object.entries(events)) this.$el.addEventListener(name, call);
+    this.connected = false;
     this.observer = new ResizeObserver(() => {
-      const width = this.$el.clientWidth, height = this.$el.clientHeight;
-      if (width && height) this.$emit("ready", { width, height });
+      this.say();
       this.ask();
     });
     this.observer.observe(this.$el);
@@ -40,7 +40,13 @@ export default {
   },
   methods: {
     // ---------------------------------------------------------------- what is said and heard
+    say() {
+      const width = this.$el.clientWidth, height = this.$el.clientHeight;
+      if (width && height) this.$emit("ready", { width, height });
+    },
     show(layers) {
+      if (!this.connected) this.say(); // what was said before there was a connection may be lost
+      this.connected = true;
       Object.assign(this.layers, layers);
       this.ask();
     },
