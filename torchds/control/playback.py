@@ -79,7 +79,7 @@ class Playback:
     Args:
         path: of `rollout-<k>.csv`.
         measured: columns that are measured beside the positions, with units.
-        velocity: columns of the velocities, as the layout of the session has them; those that begin with "v_" by default.
+        velocity: columns of the velocities, as the layout of the session has them; those that begin with `v_` by default.
 
     Attributes:
         dt: time step of the reference [s].
