@@ -114,7 +114,7 @@ def _least(axes: str) -> int:
     return sum(axis not in ("...", "") and axis[0] != "*" for axis in axes.strip("()").split(", "))
 
 
-def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1) -> Tensor:
+def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1, *, grows: bool = True) -> Tensor:
     """What a user gave as tensor `like` another that it broadcasts with.
 
     Args:
@@ -123,6 +123,7 @@ def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1)
         reference: the other one.
         axes: of the value, in words.
         last: how many of the last axes have to be of equal size.
+        grows: whether both together may be larger than the other one.
 
     Raises:
         InvalidArgumentError: no array of real numbers, or one that does not fit.
@@ -130,7 +131,8 @@ def beside(name: str, value: Array, reference: Tensor, axes: str, last: int = 1)
     value = like(name, value, reference)
     try:
         fits = value.shape[value.ndim - last :] == reference.shape[reference.ndim - last :] and value.ndim >= last
-        broadcast_shape(value.shape, reference.shape)
+        together = broadcast_shape(value.shape, reference.shape)
+        fits = fits and (grows or together == tuple(reference.shape))
     except RuntimeError:
         fits = False
     if not fits:
@@ -277,24 +279,8 @@ def of_one_dtype(given: Mapping[str, Any], *, optional: Collection[str] = (), fi
 
 
 def over(name: str, value: Array, reference: Tensor, axes: str, last: int = 1) -> Tensor:
-    """What a user gave as tensor of the shape of another, which it is `beside` and does not make larger.
-
-    Args:
-        name: of the argument.
-        value: that was given.
-        reference: the other one.
-        axes: of the value, in words.
-        last: how many of the last axes have to be of equal size.
-
-    Raises:
-        InvalidArgumentError: no array of real numbers, or one that does not fit.
-    """
-    value = beside(name, value, reference, axes, last)
-    if broadcast_shape(value.shape, reference.shape) != tuple(reference.shape):
-        raise InvalidArgumentError(
-            f"{name} has to be {axes} and fit {tuple(reference.shape)}, got shape {tuple(value.shape)}"
-        )
-    return value.expand_as(reference)
+    """What a user gave as tensor of the shape of another: `beside` it, and not larger."""
+    return beside(name, value, reference, axes, last, grows=False).expand_as(reference)
 
 
 def broadcast_shape(*shapes: Sequence[int]) -> tuple[int, ...]:

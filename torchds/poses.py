@@ -250,9 +250,9 @@ def _rotation_part(name: str, x: Array) -> Tensor:
 def _scalar_first(q: Tensor, order: Order) -> Tensor:
     if order not in get_args(Order):
         raise UnknownNameError("order", order, get_args(Order))
-    return (
-        q if order == "wxyz" or q.shape[-1:] != (4,) else q[..., [3, 0, 1, 2]]
-    )  # others are refused by who takes them
+    if order == "wxyz" or q.shape[-1:] != (4,):  # other shapes are refused by who takes them
+        return q
+    return q[..., [3, 0, 1, 2]]
 
 
 def _in_order(q: Tensor, order: Order) -> Tensor:
