@@ -25,7 +25,6 @@ export default {
     this.pointer = null;
     const events = { pointerdown: this.down, pointermove: this.move, pointerup: this.up, pointercancel: this.up };
     if (this.active) for (const [name, call] of Object.entries(events)) this.$el.addEventListener(name, call);
-    this.connected = false;
     this.observer = new ResizeObserver(() => {
       this.say();
       this.ask();
@@ -41,12 +40,12 @@ export default {
   methods: {
     // ---------------------------------------------------------------- what is said and heard
     say() {
+      // Before there is a connection events wait, and may overtake each other; so what waits is this, and says how it is then.
+      if (!window.did_handshake) return setTimeout(() => this.say(), 10);
       const width = this.$el.clientWidth, height = this.$el.clientHeight;
       if (width && height) this.$emit("ready", { width, height });
     },
     show(layers) {
-      if (!this.connected) this.say(); // what was said before there was a connection may be lost
-      this.connected = true;
       Object.assign(this.layers, layers);
       this.ask();
     },

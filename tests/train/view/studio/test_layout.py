@@ -51,17 +51,11 @@ class Page(chromium.Browser):
 
     def load(self):
         self.open(self.url)
-        try:
-            self.whole()
-        except (
-            AssertionError
-        ):  # a machine that is much too busy may lose the connection at first, which a reload brings back
-            self.open(self.url)
-            self.whole()
+        self.whole()
 
     def whole(self):
         """Wait until the table is drawn, and all of it is used."""
-        self.until("+document.querySelector('canvas')?.dataset.drawn > 1")
+        self.until("+document.querySelector('canvas')?.dataset.drawn > 0")
         self.until(
             f"""(e => (v => Math.abs((v[1] - v[0]) / (v[3] - v[2]) / (e.$el.clientWidth / e.$el.clientHeight) - 1) < 0.02)
             (e.layers.view))(getElement({self.table()}))"""
