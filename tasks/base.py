@@ -247,6 +247,11 @@ class Task(ABC):
         return path, {**self.cost_terms(path), "control": 0.5 * self.search.control_weight * n_steps * squares}
 
 
+def rolls_out_itself(task: Task, policy: GMRPolicy) -> bool:
+    """Whether a trial is something else than `torchds.rollout` of the policy: one of them has a `rollout` of its own."""
+    return type(task).rollout is not Task.rollout or hasattr(policy, "rollout")
+
+
 def total(terms: Iterable[Tensor]) -> Tensor:
     """The sum of cost terms."""
     return torch.stack(list(terms)).sum(0)

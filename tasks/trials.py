@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from tasks.base import Task, total
+from tasks.base import Task, rolls_out_itself, total
 from torchds import Rollout
 from torchds.errors import InvalidArgumentError
 from torchds.moments import Moment, advance, begin, record, seen
@@ -48,7 +48,7 @@ class Trials:
         if n < 1:
             raise InvalidArgumentError(f"n has to be at least 1, got {n}")
         self.task, self.policy = task, task.policy().requires_grad_(False)
-        if type(task).rollout is not Task.rollout or hasattr(self.policy, "rollout"):
+        if rolls_out_itself(task, self.policy):
             raise InvalidArgumentError(
                 f"a task that is tried step by step has to use `Task.rollout`, got {task.name!r} with a rollout of its own"
             )

@@ -65,7 +65,7 @@ class Trial:
     """One motion of the policy from one start.
 
     Args:
-        x0: `(D,)` where it begins; the robot has to stand there.
+        x0: `(D,)` where it begins, or `(C,)` with what the policy does not see; the robot has to stand there.
         n_steps: T.
         dt: time step [s].
         layout: of the files; it has a position for each output of the policy, the first D of them its inputs.
@@ -120,19 +120,32 @@ class Trial:
         return self.n_steps * self.dt
 
     def reference(self, policy: GMRPolicy) -> Reference:
-        """What the policies ask for; what they visit is reported."""
+        """What the policies ask for; what they visit is reported.
+
+        Raises:
+            InvalidArgumentError: a policy of other sizes than the start and the layout, or one that makes its roll-outs itself.
+        """
         return self._asked(policy)[1]
 
     def _asked(self, policy: GMRPolicy) -> tuple[Rollout, Reference]:
-        with torch.no_grad():
-            path = rollout(policy, self.x0[: policy.input_dim], self.n_steps, self.dt)
         D, C, Q = policy.input_dim, policy.output_dim, policy.stiffness_dim
+        if hasattr(policy, "rollout"):
+            raise InvalidArgumentError(
+                f"a session asks for `torchds.rollout` of a policy, got a {type(policy).__name__}, which makes its roll-outs "
+                "itself; overwrite `Trial.reference` and `Trial.terms`, or take a GMRPolicy"
+            )
         found = (len(self.layout.position), len(self.layout.stiffness))
         if found != (C, Q):
             raise InvalidArgumentError(
                 f"the layout has to have {C} positions and {Q} columns of stiffness, as the "
                 f"policy does, got {found[0]} and {found[1]}"
             )
+        if len(self.x0) not in (D, C):
+            raise InvalidArgumentError(
+                f"x0 has to have the {D} inputs of the policy, or all {C} positions, got {len(self.x0)} numbers"
+            )
+        with torch.no_grad():
+            path = rollout(policy, self.x0[:D], self.n_steps, self.dt)
         turned = torch.nn.functional.pad(path.v[..., D:].cumsum(-2) * self.dt, (0, 0, 1, 0))
         rest = turned + self.x0.new_zeros(C - D) if len(self.x0) == D else turned + self.x0[D:]
         stiffness = path.stiffness if path.stiffness is not None else path.v[..., :0]

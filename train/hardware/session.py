@@ -9,6 +9,7 @@ from pathlib import Path
 from torch import Tensor
 
 import tasks
+from tasks.base import rolls_out_itself
 from torchds import files, sessions
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import make_folder
@@ -132,13 +133,20 @@ def trial_of(task: tasks.Task) -> sessions.Trial:
     """What a roll-out of a task is.
 
     Raises:
-        InvalidArgumentError: the task has a plant, whose fields its cost reads, and which the robot would replace.
+        InvalidArgumentError: the task has a plant, whose fields its cost reads, and which the robot would replace; or it rolls
+            out in a way of its own, which a session does not know.
     """
     if task.name == DIGGING:
         from train.hardware.trial import Trial  # needs MuJoCo
 
         return Trial(task)  # type: ignore[arg-type] # the name says what it is
-    if task.plant is not None or task.policy().stiffness_dim:
+    policy = task.policy()
+    if rolls_out_itself(task, policy):
+        raise InvalidArgumentError(
+            f"a robot is asked for `torchds.rollout` of a policy, got {task.name!r} with a rollout of its own; take the task "
+            "with a GMRPolicy (via_point: --system gmr), or make a torchds.sessions.Session with a Trial of your own"
+        )
+    if task.plant is not None or policy.stiffness_dim:
         raise InvalidArgumentError(
             f"{task.name} simulates what a robot would be; make a torchds.sessions.Session with cost_terms of recordings"
         )

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torchds
+import torchds.dmp
 from tests.motions import Short
 from torchds.errors import InvalidArgumentError
 from torchds.sessions import Layout, Trial
@@ -67,6 +68,12 @@ def test_bad_arguments_are_refused(random_policy, randn):
         InvalidArgumentError, match="has to have 3 positions and 1 columns of stiffness, as the policy does, got 2"
     ):
         trial.reference(random_policy(D=2, O=3, Q=1))
+    with pytest.raises(
+        InvalidArgumentError, match="x0 has to have the 2 inputs of the policy, or all 2 positions, got 1"
+    ):
+        Trial(randn(1), 10, 0.1, PLANE).reference(random_policy())
+    with pytest.raises(InvalidArgumentError, match="got a DMP, which makes its roll-outs itself"):
+        trial.reference(torchds.dmp.DMP(randn(5, 2), randn(2), 1.0))
     recorded = Recorded(randn(1, 11, 2), randn(1, 10, 0))
     for name in (*TAKEN, "goal, end"):
         named = Trial(

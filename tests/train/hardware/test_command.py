@@ -123,10 +123,14 @@ def test_a_session_of_another_task_has_its_columns_options_and_costs(tmp_path, c
     ("task", "words"),
     [
         ("half_plane_force", "half_plane_force simulates what a robot would be; make a torchds.sessions.Session"),
+        (
+            "via_point --system dmp",
+            "a robot is asked for `torchds.rollout` of a policy, got 'via_point' with a rollout of",
+        ),
         ("two_starts", "tasks of several starts are several sessions"),
         ("via_pont", "unknown task 'via_pont'. Did you mean 'via_point'"),
     ],
 )
 def test_tasks_that_no_session_can_have_are_refused(tmp_path, command, task, words):
-    code, said = command("start", tmp_path / "s", "--task", task)
+    code, said = command("start", tmp_path / "s", "--task", *task.split())
     assert code == 2 and words in said and not (tmp_path / "s").exists()
