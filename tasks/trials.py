@@ -39,7 +39,7 @@ class Trials:
         n_observations: of its observation vector.
 
     Raises:
-        InvalidArgumentError: M < 1, or a task that makes its roll-outs in a way of its own.
+        InvalidArgumentError: M < 1, a task that makes its roll-outs in a way of its own, or one whose plant is noisy.
     """
 
     BOUND = 10.0
@@ -51,6 +51,11 @@ class Trials:
         if rolls_out_itself(task, self.policy):
             raise InvalidArgumentError(
                 f"a task that is tried step by step has to use `Task.rollout`, got {task.name!r} with a rollout of its own"
+            )
+        if task.noisy and type(task).tried is not Task.tried:
+            raise InvalidArgumentError(
+                f"trials step by step are without chance, got {task.name!r} with some; leave out what makes it (sensor_noise, "
+                "pushes)"
             )
         motion, scene = task.motion(), task.scene()
         x0, self.n_steps, self.dt = motion
@@ -127,7 +132,8 @@ class Trials:
         path = self.path()
         if self.done:
             return self.task.cost(path)
-        return total([steps.sum(-1) for steps in self.task.running_costs(path).values()])
+        running = self.task.running_costs(path)
+        return total(steps.sum(-1) for steps in running.values()) if running else torch.zeros_like(self.cost)
 
     def distances(self) -> Tensor:
         """Distances `(M, *points, L)` from each via-point at this moment."""
