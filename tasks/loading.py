@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import importlib.util
@@ -42,6 +43,29 @@ def short(spec: str) -> str:
     if is_problem(spec):
         return re.sub(r"\W+", "_", Path(spec).stem).strip("_").lower() or "problem"
     return spec.rpartition(":")[2]
+
+
+def file_of(spec: str) -> Path | None:
+    """The file that `spec` names; None for other names."""
+    where = spec if is_problem(spec) else spec.rpartition(":")[0]
+    return Path(where) if is_problem(spec) or where.endswith(".py") else None
+
+
+def helpers(file: Path) -> list[Path]:
+    """The files beside `file` that it imports, also through one another."""
+    found, left = {file}, [file]
+    while left:
+        try:
+            tree = ast.parse(left.pop().read_bytes())
+        except (SyntaxError, ValueError):  # which importing it explains
+            continue
+        for node in ast.walk(tree):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            beside = {file.with_name(f"{name.partition('.')[0]}.py") for name in names} - found
+            found |= (new := {path for path in beside if path.is_file()})
+            left += new
+    return sorted(found - {file})
 
 
 def told_apart(specs: Iterable[str], brief: Callable[[str], str] = short) -> dict[str, str]:
@@ -90,24 +114,41 @@ def _fits(value: object, base: type) -> bool:
     return inspect.isclass(value) and issubclass(value, base)
 
 
+_folders: set[Path] = set()  # of the files that were imported
+
+
 def _from_file(file: Path) -> ModuleType:
-    """The module in a file, imported once; files beside it can be imported from it."""
+    """The module in a file, imported once; files beside it can be imported from it.
+
+    Python knows one module of each name: what stands beside it may not be called as what was imported from beside another one.
+    """
     path = file.expanduser().resolve()
     if not path.is_file():
         raise InvalidArgumentError(f"no file {path}; give the path of a Python file, then :NAME")
     name = f"{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     if name in sys.modules:
         return sys.modules[name]
+    for beside in helpers(path):
+        known = Path(getattr(sys.modules.get(beside.stem), "__file__", None) or beside)
+        if known.parent in _folders and not (known.is_file() and known.read_bytes() == beside.read_bytes()):
+            raise InvalidArgumentError(
+                f"{beside.stem} is known from {known}, so that {path} cannot import {beside}; rename one of them"
+            )
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
+    folder = str(path.parent)
+    _folders.add(path.parent)
+    sys.path.insert(0, folder)  # what stands beside it comes before what another folder calls the same
     try:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[name]
         raise InvalidArgumentError(f"{path} cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(folder)
+        if folder not in sys.path:
+            sys.path.append(folder)
     return module
 
 

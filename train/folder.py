@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tasks import Task
+from tasks.loading import file_of
 from tasks.plain import plain
 from torchds import GMRPolicy, files, kernels, load_policy
 from torchds.dmp import DMP
@@ -211,7 +212,8 @@ def load(path: Path, kind: str, names: Iterable[str]) -> dict[str, Any]:
 def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) -> None:
     """Refuse a file of another run: another task, or another value of an option that decides about what is learned.
 
-    The number of updates may differ, since a run can be extended, and so may its folder, the threads and the device.
+    The number of updates may differ, since a run can be extended, and so may its folder, the threads and the device. Files of
+    problems and classes go by their names: what is kept on several machines is found by what they hold (`kept.key`).
 
     Raises:
         FileError: what differs.
@@ -221,12 +223,18 @@ def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) 
     differing = [
         f"{name} {there.get(name, usual[name])} there and {here[name]} here"
         for name in here
-        if name not in ("updates", "logdir", "threads", "device") and there.get(name, usual[name]) != here[name]
+        if name not in ("updates", "logdir", "threads", "device")
+        and _bare(there.get(name, usual[name])) != _bare(here[name])
     ]
-    if content["task"] != options.task:
+    if _bare(content["task"]) != _bare(options.task):
         differing.insert(0, f"task {content['task']} there and {options.task} here")
     if differing:
         raise FileError(f"{path} belongs to another run: {', '.join(differing)}")
+
+
+def _bare(value: Any) -> Any:
+    """The place of a class or a problem without the folder of its file; anything else as it is."""
+    return Path(value).name if isinstance(value, str) and file_of(value) is not None else value
 
 
 def say_versions(path: Path, written: Mapping[str, str]) -> None:

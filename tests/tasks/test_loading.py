@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,30 @@ def test_an_error_in_the_file_is_named_and_the_file_is_read_again(tmp_path):
         load_object(f"{file}:PIBB", PIBB)
     file.write_text("from torchds.optim import PIBB")
     assert load_object(f"{file}:PIBB", PIBB) is PIBB
+
+
+def test_each_file_has_what_stands_beside_it_or_is_refused(tmp_path, monkeypatch):
+    for name, modules in {
+        "a": ("shared_one", "unused_one"),
+        "b": ("unused_one",),
+        "c": ("through_one", "shared_one"),
+    }.items():
+        (tmp_path / name).mkdir()
+        for module in modules:
+            text = "from shared_one import SIZE" if module == "through_one" else f"SIZE = {name!r}"
+            (tmp_path / name / f"{module}.py").write_text(text)
+        last = modules[0]
+        (tmp_path / name / "opt.py").write_text(
+            f"from {last} import SIZE\nfrom torchds.optim import PIBB\nclass W(PIBB): size = SIZE"
+        )
+    before = list(sys.path)
+    assert [load_object(f"{tmp_path}/{name}/opt.py:W", PIBB).size for name in "ab"] == ["a", "b"]
+    assert sys.path == [*before, f"{tmp_path}/a", f"{tmp_path}/b"]
+    with pytest.raises(
+        InvalidArgumentError, match=r"shared_one is known from .*a.shared_one\.py, so .*; rename one of them"
+    ):
+        load_object(f"{tmp_path}/c/opt.py:W", PIBB)
+    monkeypatch.setattr(sys, "path", before)
 
 
 def test_a_task_of_a_file_is_made_with_the_options_of_its_base(file):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,7 +16,7 @@ from torchds.errors import FileError, InvalidArgumentError, TorchdsError, Unknow
 from train.compare import report, suite
 from train.compare.report import Outcome
 from train.folder import Interrupted, RunFolder, new_folder, versions, write_text
-from train.learning.kept import found, learned, made
+from train.learning.kept import found, key, learned, made
 from train.learning.learner import Learner
 from train.options import Optimizer, RunOptions, check_seed, options_class
 from train.searchers.named import METHODS, runs_vary
@@ -54,7 +52,8 @@ def named(candidates: Iterable[Candidate], records: Iterable[Mapping[str, Any]] 
 class Compare:
     """Compare optimizers at equal numbers of roll-outs; runs that exist are not made again.
 
-    The first step of every method is tuned over the same factors, on seeds of its own, before the reported runs.
+    The first step of every method is tuned over the same factors, on seeds of its own, before the reported runs. A file of
+    yours that was edited, or what it imports from beside it, makes new runs; after a change of a module give another --logdir.
     """
 
     tasks: tuple[str, ...] = ("via_point-N", "via_point-P")
@@ -234,12 +233,10 @@ class Compare:
     def learned(self, options: RunOptions, bar: tqdm) -> dict[str, Any]:
         """The results of these options: those on the disk, or new ones, continued where they were interrupted.
 
-        What is on the disk is found by its options alone; after a change of the code give another --logdir.
+        What is on the disk is found by its `train.learning.kept.key`; after a change of other code give another --logdir.
         """
-        usual = type(options)().to_json()  # left out of the name: an option that is added later changes no names
-        own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
-        key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
-        folder = RunFolder(self.logdir / "compare" / "runs" / options.name / f"{short(options.optimizer)}-{key}")
+        name = f"{short(options.optimizer)}-{key(options)}"
+        folder = RunFolder(self.logdir / "compare" / "runs" / options.name / name)
         if (record := found(folder, options)) is not None:
             return record
 

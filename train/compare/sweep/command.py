@@ -32,7 +32,9 @@ MADE_OF = "made_of.json"
 class Sweep:
     """Work on all jobs of a sweep until none is left, beside any number of others who do the same on the same folder.
 
-    A worker that is killed loses nothing: another one goes on from the job's checkpoint. The last one writes the report.
+    A worker that is killed loses nothing: another one goes on from the job's checkpoint. The last one writes the report. A file
+    of yours that was edited, or what it imports from beside it, is another job; after a change of a module give another
+    --logdir.
     """
 
     spec: Annotated[Path, tyro.conf.Positional]

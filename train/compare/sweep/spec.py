@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +10,7 @@ from typing import Any, NamedTuple
 from tasks.loading import short
 from torchds.errors import FileError, InvalidArgumentError
 from torchds.files import reason
+from train.learning.kept import key
 from train.options import UNKEPT, RunOptions, options_class
 
 OF_THE_SWEEP = (*UNKEPT, "logdir")
@@ -87,8 +86,5 @@ def _job(path: Path, parts: tuple[dict[str, Any], ...]) -> Job:
 
 
 def name(options: RunOptions) -> str:
-    """Of a folder for these options; an option that is added to the project later changes no names."""
-    usual = type(options)().to_json()
-    own = {name: value for name, value in options.to_json().items() if value != usual[name] and name != "logdir"}
-    key = hashlib.sha256(json.dumps([options.task, own], sort_keys=True).encode()).hexdigest()[:16]
-    return f"{options.name}-{short(options.optimizer)}-{key}"
+    """Of a folder for these options."""
+    return f"{options.name}-{short(options.optimizer)}-{key(options)}"

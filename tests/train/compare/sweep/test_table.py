@@ -23,9 +23,9 @@ def table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
-        (tmp_path / folder / "opt.py").write_text(OPTIMIZER)
-        (tmp_path / folder / "noise.py").write_text(EXPLORATION)
-        replace(FULL, learners=({},)).write(tmp_path / folder / "p.json")
+        (tmp_path / folder / "opt.py").write_text(f"{OPTIMIZER}# {folder}")
+        (tmp_path / folder / "noise.py").write_text(f"{EXPLORATION}# {folder}")
+        replace(FULL, learners=({},), unit=folder).write(tmp_path / folder / "p.json")
 
     def make(text, cost=float):
         (tmp_path / "mine.toml").write_text(text)
