@@ -6,6 +6,7 @@ Stability: stable.
 from __future__ import annotations
 
 import io
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -272,13 +273,13 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
             logarithmic unless a cost is negative.
         total: the name of the sum.
     """
-    colors = iter(TERMS)
+    looks = itertools.cycle(itertools.product(("-", "--", ":"), TERMS))
     for name, values in curves.items():
         q1, median, q3 = np.nanquantile(np.asarray(values, dtype=float), [0.25, 0.5, 0.75], axis=1)
         is_total = name == total
-        color = "black" if is_total else next(colors)
-        label = name.replace("_", "-")
-        axes.plot(rollouts, median, color=color, lw=2.4 if is_total else 1.5, zorder=5 if is_total else 3, label=label)
+        style, color = ("-", "black") if is_total else next(looks)
+        lw, zorder = (2.4, 5) if is_total else (1.5, 3)
+        axes.plot(rollouts, median, style, color=color, lw=lw, zorder=zorder, label=name.replace("_", "-"))
         axes.fill_between(rollouts, q1, q3, color=color, alpha=0.16, lw=0)
     positive = all(np.nanmin(np.asarray(values, dtype=float)) >= 0 for values in curves.values())
     if positive:

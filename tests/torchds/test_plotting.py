@@ -244,6 +244,11 @@ def test_learning_curves_are_medians_between_quartiles(axes):
     assert axes.get_yscale() == "log"
 
 
+def test_more_terms_than_colours_are_told_apart_by_their_lines(axes):
+    plotting.learning_curves(axes, [0, 1], {f"term_{i}": [[1.0], [2.0]] for i in range(2 * len(plotting.TERMS) + 1)})
+    assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == len(axes.lines)
+
+
 def test_a_negative_cost_needs_a_linear_scale(axes):
     plotting.learning_curves(axes, [0, 1], {"total": [[1.0, 2.0], [-1.0, 2.0]]})
     assert axes.get_yscale() == "linear"

@@ -31,7 +31,7 @@ def train(monkeypatch):
 @pytest.fixture
 def problem(tmp_path):
     (tmp_path / "drawn").mkdir()
-    replace(FULL, body=None).write(tmp_path / "drawn" / "My way.json")
+    FULL.write(tmp_path / "drawn" / "My way.json")
     return tmp_path / "drawn" / "My way.json"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -192,10 +192,11 @@ def draw(waits: dict[tuple[str, int], list[float]], learned: dict[str, Any]) -> 
     figure = Figure(figsize=(13, 4), layout="constrained")
     axes = figure.subplots(1, 3)
     styles = dict(zip(BETWEEN, ("-", "--", ":"), strict=True))
-    workers, left = sorted({n for _, n in waits}), [100 * (1 - share) for share in SHARES]
+    left = [100 * (1 - share) for share in SHARES]
+    colors = dict(zip(sorted({n for _, n in waits}), cycle(plotting.TERMS), strict=False))
     for (between, n), row in waits.items():
         name = f"{n:,} workers" if between == next(iter(BETWEEN)) else None
-        axes[0].plot(left, row, styles[between], color=plotting.TERMS[workers.index(n)], marker=".", label=name)
+        axes[0].plot(left, row, styles[between], color=colors[n], marker=".", label=name)
     for between, style in styles.items():
         axes[0].plot([], [], style, color="gray", label=f"one fails once in {between}")
     axes[0].set(xlabel="roll-outs left behind [%]", ylabel="an update waits [s]", yscale="log")
@@ -203,11 +204,11 @@ def draw(waits: dict[tuple[str, int], list[float]], learned: dict[str, Any]) -> 
     axes[0].set(xlim=(-0.1, 70), xticks=left, xticklabels=[f"{share:.0f}" for share in left])
     axes[0].minorticks_off()
     for panel, (what, (values, rows)) in zip(axes[1:], learned.items(), strict=True):
-        for i, (name, costs) in enumerate(rows.items()):
+        for color, (name, costs) in zip(cycle(plotting.TERMS), rows.items(), strict=False):
             low, middle, high = quartiles(np.stack(costs), axis=1)
             x = left if what.endswith("min_share") else values
-            panel.plot(x, middle, color=plotting.TERMS[i], marker=".", label=name)
-            panel.fill_between(x, low, high, color=plotting.TERMS[i], alpha=0.15, lw=0)
+            panel.plot(x, middle, color=color, marker=".", label=name)
+            panel.fill_between(x, low, high, color=color, alpha=0.15, lw=0)
         panel.set(ylabel="final cost on N", yscale="log")
     axes[1].set(xlabel="roll-outs left behind [%]")
     axes[2].set(xlabel="parameters that are tried are so many updates old")

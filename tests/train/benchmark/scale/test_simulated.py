@@ -8,7 +8,7 @@ from tests.forked import forked
 from tests.motions import Short
 from torchds.errors import InvalidArgumentError, UnknownNameError
 from train.benchmark.scale import simulated
-from train.benchmark.scale.command import Scale
+from train.benchmark.scale.command import SHARES, Scale, draw
 from train.benchmark.scale.measured import CASES, Timing, learn
 from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
 from train.learning.learner import Learner
@@ -102,6 +102,14 @@ def test_old_trials_are_around_old_parameters(task):
     costs(task, wrap)
     for update, center in enumerate(tried):
         torch.testing.assert_close(center, centers[max(update - 2, 0)], rtol=0, atol=1e-12)
+
+
+def test_any_number_of_workers_is_drawn():
+    learned = {
+        f"by {what}": (x, {"pibb": [np.ones(2)] * len(x)}) for what, x in (("min_share", SHARES), ("age", (0, 1)))
+    }
+    figure = draw({("an hour", n): [1.0] * len(SHARES) for n in range(1, 9)}, learned)
+    assert figure.axes[0].get_legend_handles_labels()[1][:8] == [f"{n} workers" for n in range(1, 9)]
 
 
 @pytest.mark.slow
