@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import MISSING, fields
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
@@ -54,6 +55,11 @@ def entries(value: Any, kind: Any) -> list[Any] | None:
     if origin is tuple and named and named[-1] is not Ellipsis:
         return list(named) if len(named) == len(value) else None
     return [named[0] if named else Any] * len(value)
+
+
+def required(cls: Any) -> list[str]:
+    """The fields of a dataclass that have no value if nothing is said."""
+    return [f.name for f in fields(cls) if f.init and f.default is MISSING and f.default_factory is MISSING]
 
 
 def words(kind: Any) -> str:

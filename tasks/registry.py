@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from tasks.base import Task
 from tasks.loading import is_problem, is_spec, load_object
 from tasks.lwr_digging import DiggingOptions
+from tasks.plain import required
 from tasks.settings import Convention
 from tasks.sketch.task import of_file
 from torchds.errors import InvalidArgumentError, UnknownNameError
@@ -104,7 +105,7 @@ def make(name: str, *, convention: str = "paper", **options: Any) -> Task:
     Raises:
         UnknownNameError: no task of this name; the message lists them.
         MissingPackageError: the task needs an extra that is not installed.
-        InvalidArgumentError: an option that the task does not have, or a value that it does not allow.
+        InvalidArgumentError: an option that the task does not have, or one that is missing, or a value that it does not allow.
     """
     cls = task_class(name, convention)
     names = [field.name for field in fields(cls) if field.init]
@@ -113,4 +114,8 @@ def make(name: str, *, convention: str = "paper", **options: Any) -> Task:
     if strangers := sorted(set(options) - set(allowed)):
         has = ", ".join([*allowed, "convention"])
         raise InvalidArgumentError(f"task {name!r} has no option {', '.join(strangers)}; it has {has}")
+    if missing := [name for name in required(cls) if name not in options]:
+        raise InvalidArgumentError(
+            f"task {name!r} needs {', '.join(missing)}, which has no default: say it, or give it one"
+        )
     return cls(**options)

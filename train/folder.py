@@ -22,7 +22,7 @@ from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import make_folder as make_folder
 from torchds.files import write_text as write_text
 from torchds.locks import one_writer
-from train.options import RunOptions, options_class
+from train.options import RunOptions, options_class, usual_values
 
 OPTIONS, CHECKPOINT, RESULTS, POLICY = "options.json", "checkpoint.pt", "results.json", "policy.pt"
 RECORD = ("task", "options", "versions", "rollouts", "forward_equivalents", "cost", "terms", "failed", "seconds")
@@ -218,13 +218,13 @@ def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) 
     Raises:
         FileError: what differs.
     """
-    here, usual = options.to_json(), type(options)().to_json()
+    here, usual = options.to_json(), usual_values(options)
     there = plain(content["options"])  # older checkpoints hold tuples and infinities as they were
     differing = [
-        f"{name} {there.get(name, usual[name])} there and {here[name]} here"
+        f"{name} {there.get(name, usual.get(name))} there and {here[name]} here"
         for name in here
         if name not in ("updates", "logdir", "threads", "device")
-        and _bare(there.get(name, usual[name])) != _bare(here[name])
+        and _bare(there.get(name, usual.get(name))) != _bare(here[name])
     ]
     if _bare(content["task"]) != _bare(options.task):
         differing.insert(0, f"task {content['task']} there and {options.task} here")

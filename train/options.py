@@ -10,14 +10,14 @@ from dataclasses import MISSING, Field, asdict, dataclass, field, fields, make_d
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_type_hints
 
 import torch
 import tyro
 
 import tasks
 from tasks.loading import absolute, is_spec
-from tasks.plain import fits, plain, restored, words
+from tasks.plain import fits, plain, required, restored, words
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
 Exploration = Literal["homogeneous", "trajectory", "gaussian", "stable", "stable-trajectory"]
@@ -31,6 +31,8 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "recommended": {"optimizer": "surrogate", "exploration": "trajectory"},
 }
 """Options of the two learners that are held against each other: that of the paper, and the one to recommend."""
+
+Options = TypeVar("Options", bound="RunOptions")
 
 UNKEPT = ("resume", "folder", "patience")
 """Options of one command, which are no part of the run."""
@@ -141,9 +143,9 @@ class RunOptions:
         """What `to_json` gave; what is not there, as in a file of an older version, is as usual.
 
         Raises:
-            InvalidArgumentError: an option that does not exist, or a value that it cannot have.
+            InvalidArgumentError: an option that does not exist, a value that it cannot have, or none where one has to be.
         """
-        return cls(**cls.read(values))
+        return _made(cls, cls.read(values))
 
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,8 +189,26 @@ def options_class(task: str) -> type[RunOptions]:
 
 
 def options_for(task: str, **values: Any) -> RunOptions:
-    """Options of a run of `task`, of which `values` are given and the others are as usual."""
-    return options_class(task)(**values)
+    """Options of a run of `task`, of which `values` are given and the others are as usual.
+
+    Raises:
+        InvalidArgumentError: one is missing that has no default.
+    """
+    return _made(options_class(task), values)
+
+
+def usual_values(options: RunOptions) -> dict[str, Any]:
+    """Plain values, as `to_json` has them, of the options that have a default; those of a task may have none."""
+    needed: dict[str, Any] = dict.fromkeys(required(options))
+    return {name: value for name, value in type(options)(**needed).to_json().items() if name not in needed}
+
+
+def _made(cls: type[Options], values: Mapping[str, Any]) -> Options:
+    if missing := [name for name in required(cls) if name not in values]:
+        raise InvalidArgumentError(
+            f"{cls.task} needs the option {', '.join(missing)}, which has no default: say it, or give it one"
+        )
+    return cls(**values)
 
 
 @cache

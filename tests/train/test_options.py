@@ -8,9 +8,13 @@ import pytest
 import tasks
 from tasks.constrained_reaching import ConstrainedReaching
 from tests.tasks.sketch.drawn import FULL
-from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.folder import check_identity
-from train.options import options_class, options_for
+from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
+from train.compare.command import Candidate, Compare
+from train.compare.sweep import spec as sweep
+from train.compare.sweep.table import rows
+from train.folder import RunFolder, check_identity
+from train.learning import run
+from train.options import options_class, options_for, usual_values
 
 
 class Own(tasks.ViaPoint):
@@ -22,6 +26,13 @@ class Own(tasks.ViaPoint):
     other: Path | None = None
     limit: float = math.inf
     seed: int = 0
+
+
+class Need(tasks.ViaPoint):
+    """A task with a field that has to be said."""
+
+    name = "need_for_options"
+    height: float
 
 
 OWN = f"{__name__}:Own"
@@ -100,6 +111,28 @@ def test_a_field_that_would_lose_its_default_to_an_option_of_every_run_is_refuse
         options_class(f"{__name__}:Mine")
     made.defaults = {name: usual}
     assert getattr(options_for(f"{__name__}:Mine"), name) == usual
+
+
+def test_an_option_without_a_default_is_one_of_the_run_and_has_to_be_said(tmp_path):
+    spec = f"{__name__}:Need"
+    low, high = options_for(spec, height=1.0), options_for(spec, height=2.0)
+    assert {**usual_values(low), "height": 1.0} == low.to_json()
+    assert run.telling(low)["height"] == 1.0 and sweep.name(low) != sweep.name(high)
+    assert run.merged(replace(low, updates=7), low, RunFolder(tmp_path), None).updates == 7
+    with pytest.raises(InvalidArgumentError, match=r"cannot take --height 2\.0 \(it was 1\.0\)"):
+        run.merged(high, low, RunFolder(tmp_path), None)
+    check_identity(tmp_path, {"task": spec, "options": low.to_json()}, low)
+    with pytest.raises(FileError, match=r"another run: height 2\.0 there and 1\.0 here"):
+        check_identity(tmp_path, {"task": spec, "options": high.to_json()}, low)
+    (tmp_path / "both.toml").write_text(f'task = "{spec}"\nheight = [1.0, 2.0]')
+    jobs = sweep.read(tmp_path / "both.toml")
+    found = rows(jobs, {}, {job.name: "no time" for job in jobs})
+    assert [row.label for row in found] == ["pibb height=1.0", "pibb height=2.0"]
+    for make in (tasks.make, options_for, lambda task: type(low).from_json({})):
+        with pytest.raises(InvalidArgumentError, match=r"needs .*height, which has no default: say it, or give it one"):
+            make(spec)
+    with pytest.raises(InvalidArgumentError, match="needs the option height"):
+        Compare(tasks=(spec,)).options(Candidate(spec, "pibb", "plain"), 1.0, 1, 0)
 
 
 def test_defaults_of_a_task_are_read_as_options_are(monkeypatch):

@@ -18,7 +18,7 @@ from train.compare.report import Outcome
 from train.folder import Interrupted, RunFolder, new_folder, versions, write_text
 from train.learning.kept import found, key, learned, made
 from train.learning.learner import Learner
-from train.options import Optimizer, RunOptions, check_seed, options_class
+from train.options import Optimizer, RunOptions, check_seed, options_class, options_for
 from train.searchers.named import METHODS, runs_vary
 from train.statistics import of_costs
 
@@ -214,7 +214,8 @@ class Compare:
         usual = dict(zip(get_args(CoordinateKind), STABLE if stable else FREE, strict=True))
         if stable and candidate.optimizer in METHODS:
             own = {**own, "shrink": "none"}
-        return kind(
+        return options_for(
+            task,
             runs=runs,
             seed=seed,
             updates=kind.updates if self.updates is None else self.updates,

@@ -15,7 +15,7 @@ from tasks.loading import file_of, helpers
 from train.folder import OPTIONS, RESULTS, RunFolder, check_identity
 from train.learning.history import results
 from train.learning.learner import Learner
-from train.options import RunOptions
+from train.options import RunOptions, usual_values
 
 SAVE_EVERY = 10.0  # s between two checkpoints
 
@@ -27,11 +27,11 @@ def key(options: RunOptions) -> str:
     by their content, with what they import from beside them: one that was edited is another run, and one that is mounted
     elsewhere the same.
     """
-    usual = type(options)().to_json()
+    usual = usual_values(options)
     own = {
         name: known_by(getattr(options, name), value)
         for name, value in options.to_json().items()
-        if value != usual[name] and name != "logdir"
+        if value != usual.get(name) and name != "logdir"
     }
     said = json.dumps([known_by(options.task, options.task), own], sort_keys=True)
     return hashlib.sha256(said.encode()).hexdigest()[:16]

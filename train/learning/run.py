@@ -23,7 +23,7 @@ from train.learning.album import Album
 from train.learning.history import History, results, table
 from train.learning.learner import Learner
 from train.learning.processes import Processes, Several, joined, restarts
-from train.options import RunOptions, check_seed
+from train.options import RunOptions, check_seed, usual_values
 from train.searchers.named import runs_vary
 from train.statistics import median
 
@@ -153,10 +153,10 @@ def merged(options: RunOptions, before: RunOptions, folder: RunFolder, given: Co
             f"{folder.option} {folder.path} is a run of {before.task}, not of {options.task}; continue it with: "
             + resuming(before.task, folder)
         )
-    usual, there, here = (each.to_json() for each in (type(options)(), before, options))
+    usual, there, here = usual_values(options), before.to_json(), options.to_json()
     names = [name for name in here if name != "logdir"]
     if given is None:
-        given = [name for name in names if here[name] != usual[name]]
+        given = [name for name in names if here[name] != usual.get(name)]
     differing = [name for name in names if name in given and here[name] != there[name]]
     contradicting = [
         f"--{name.replace('_', '-')} {getattr(options, name)} (it was {getattr(before, name)})"
@@ -253,9 +253,9 @@ def finish(folder: RunFolder, events: Events, album: Album) -> None:
 
 def telling(options: RunOptions) -> dict[str, bool | int | float | str]:
     """What tells a run from others: what learns, the seed, and every option that is not as usual."""
-    usual, always = type(options)().to_json(), ("optimizer", "exploration", "seed")
+    usual, always = usual_values(options), ("optimizer", "exploration", "seed")
     usual["logdir"] = str(options.logdir)  # runs in different places are alike
-    values = {name: v for name, v in options.to_json().items() if name in always or v != usual[name]}
+    values = {name: v for name, v in options.to_json().items() if name in always or v != usual.get(name)}
     return {"task": options.name} | {name: v if isinstance(v, float) else str(v) for name, v in values.items()}
 
 

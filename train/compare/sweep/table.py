@@ -12,7 +12,7 @@ from tasks import options_of
 from tasks.loading import told_apart
 from train.compare.report import Outcome
 from train.compare.sweep.spec import Job
-from train.options import RunOptions
+from train.options import RunOptions, usual_values
 from train.searchers.named import METHODS
 
 CALLED = ("optimizer", "exploration")  # as tables call them
@@ -75,8 +75,11 @@ def label(options: RunOptions, names: Names, varying: Sequence[str]) -> str:
     """The optimizer with the options that differ between jobs, and what it searches along where that is not the task's own."""
     said = options.to_json()
     own = [f"{name}={names[name][str(said[name])]}" for name in varying if name in said]
-    usual = type(options)().exploration
-    along = "" if options.exploration == usual else f", {names['exploration'][options.exploration]}"
+    along = (
+        ""
+        if options.exploration == usual_values(options)["exploration"]
+        else f", {names['exploration'][options.exploration]}"
+    )
     return " ".join([names["optimizer"][options.optimizer], *own]) + along
 
 
