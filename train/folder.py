@@ -88,7 +88,13 @@ class RunFolder:
         Raises:
             InvalidArgumentError: which ones are missing.
         """
-        if missing := [name for name in names if not self.has(name)]:
+        missing = [name for name in names if not self.has(name)]
+        if missing == [POLICY] and self.has(RESULTS):
+            raise InvalidArgumentError(
+                f"{self.option} {self.path}: no {POLICY} there, which runs of primitives (--system dmp), of compare and of "
+                "sweep do not leave; give the folder of another one".strip()
+            )
+        if missing:
             kind = "run" if names == (OPTIONS,) else "finished run"
             raise InvalidArgumentError(
                 f"{self.option} {self.path}: no {', '.join(missing)} there; give the folder of a {kind}, below logs/".strip()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -82,7 +82,7 @@ class View:
         """The page, which is served from here on."""
         digging = {"grains": self.grains} if self.task == "lwr_digging" else {}
         options = options_for(self.task, **digging) if self.policy is None else self.options(self.policy)
-        task: Any = options.make_task()
+        task: Any = replace(options, device="cpu").make_task()  # wherever it was learned
         policies = {"before learning": task.policy()}
         if self.policy is not None:
             policies["after learning"] = RunFolder(self.policy).policy()[self.run]

@@ -196,8 +196,7 @@ class Page:
             time.sleep(1 / PER_SECOND)
             if self.playing.value:
                 ahead = self.time.value + 1 / PER_SECOND
-                self.time.value = ahead if ahead <= self.take.times[-1] else 0.0  # type: ignore[misc]
-                self.draw()
+                self.time.value = ahead if ahead <= self.take.times[-1] else 0.0  # type: ignore[misc]  # and draws
 
     def close(self) -> None:
         """Serve no longer."""

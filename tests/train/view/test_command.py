@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from tests.motions import Short
 from torchds.errors import InvalidArgumentError, MissingPackageError
+from train.folder import RunFolder
 from train.options import options_for
 from train.view import command as view
 from train.view.command import NoDisplayError, View
@@ -29,6 +31,15 @@ def test_the_options_are_those_of_the_run(folder):
 def test_a_folder_without_a_finished_run_is_refused(folder, name):
     (folder / name).unlink()
     with pytest.raises(InvalidArgumentError, match=f"no {name} there; give the folder of a finished run"):
+        View("lwr_digging", folder).main()
+
+
+def test_which_finished_runs_leave_no_policy_is_said(folder):
+    (folder / "policy.pt").unlink()
+    (folder / "results.json").touch()
+    with pytest.raises(
+        InvalidArgumentError, match=r"no policy\.pt there, which runs of primitives \(--system dmp\), of"
+    ):
         View("lwr_digging", folder).main()
 
 
@@ -112,6 +123,15 @@ def test_the_page_of_any_task_has_the_policy_before_learning(monkeypatch):
     ((title, takes, options),) = made
     assert title == "via_point" and options == {"port": 1234}
     assert {take.policy for take in takes} == {"before learning"}
+
+
+def test_the_page_needs_no_gpu_where_the_run_had_one(monkeypatch, tmp_path):
+    policy = Short().policy()
+    options = options_for("tests.motions:Short", device="cuda")
+    RunFolder(tmp_path).begin(options.task, options.to_json())
+    policy.expand(1).save(tmp_path / "policy.pt")
+    monkeypatch.setattr(view, "Page", lambda title, takes, port: [take.policy for take in takes])
+    assert View(options.task, tmp_path, browser=1).page() == ["before learning", "after learning"]
 
 
 def test_a_page_without_its_package_says_which_extra_brings_it(monkeypatch):
