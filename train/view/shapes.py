@@ -24,6 +24,8 @@ MADE = {
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): lambda size: trimesh.creation.cylinder(size[0], 2 * size[1]),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): lambda size: trimesh.creation.capsule(2 * size[1], size[0]),
 }
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+SHOWN = 3  # groups of geoms from here on are hidden in MuJoCo's viewer until they are asked for
 BONE, JOINT = 0.02, 0.03  # m, radii of what stands for an arm without shapes
 ORANGE, GREY = (0.95, 0.45, 0.1), (0.35, 0.37, 0.40)
 
@@ -38,7 +40,8 @@ class Pose(NamedTuple):
 class Shapes:
     """The shapes of a model, and where they are.
 
-    Geoms that are transparent or infinite are left out. A model without any is drawn as the skeleton of its bodies.
+    Geoms that are transparent or infinite, or in a group that MuJoCo's viewer hides, are left out. Bodies without any are drawn
+    as a skeleton: a bone between each two that follow each other, a ball at its ends.
 
     Args:
         model: of MuJoCo.
@@ -50,56 +53,69 @@ class Shapes:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
-        seen = [i for i in range(model.ngeom) if model.geom_rgba[i, 3] > 0]
-        self._solid = np.array([i for i in seen if int(model.geom_type[i]) in MADE], dtype=int)
+        seen = [i for i in range(model.ngeom) if model.geom_rgba[i, 3] > 0 and model.geom_group[i] < SHOWN]
+        self._solid = np.array([i for i in seen if int(model.geom_type[i]) in (*MADE, MESH)], dtype=int)
         self._round = np.array([i for i in seen if int(model.geom_type[i]) in ROUND], dtype=int)
-        self.solids: list[tuple[np.ndarray, np.ndarray, tuple[float, ...]]] = []
-        for i in self._solid:
-            mesh = MADE[int(model.geom_type[i])](model.geom_size[i])
-            self.solids.append((mesh.vertices, mesh.faces, tuple(model.geom_rgba[i, :3])))
+        self.solids = [(*self._mesh(i), tuple(model.geom_rgba[i, :3])) for i in self._solid]
         size = model.geom_size[self._round]
         ball = model.geom_type[self._round] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
         self.sizes = np.where(ball[:, None], size[:, :1], size)
         self.colours = model.geom_rgba[self._round, :3]
-        self._bones: list[tuple[int, int]] = []
-        if not seen:
-            self._skeleton()
+        bare = set(range(model.nbody)) - {int(model.geom_bodyid[i]) for i in (*self._solid, *self._round)}
+        self._skeleton(bare | {0})
 
     def at(self, qpos: np.ndarray) -> tuple[Pose, Pose]:
         """Where the solid and the round shapes are at generalised positions `(nq,)`."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
-        if self._bones:
-            return self._bones_at()
-        return self._of(self._solid), self._of(self._round)
+        (bones, joints), solid, round_ = self._bones_at(), self._of(self._solid), self._of(self._round)
+        return _together(solid, bones), _together(round_, joints)
+
+    def _mesh(self, geom: int) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and faces of a shape that is not round, where it is drawn from."""
+        model, kind = self._model, int(self._model.geom_type[geom])
+        if kind != MESH:
+            made = MADE[kind](model.geom_size[geom])
+            return made.vertices, made.faces
+        mesh = model.mesh(model.geom_dataid[geom])
+        vertices, faces = (
+            slice(begin[0], begin[0] + n[0])
+            for begin, n in ((mesh.vertadr, mesh.vertnum), (mesh.faceadr, mesh.facenum))
+        )
+        return model.mesh_vert[vertices], model.mesh_face[faces]
 
     def _of(self, geoms: np.ndarray) -> Pose:
         rotations = self._data.geom_xmat[geoms].reshape(-1, 3, 3)
         return Pose(self._data.geom_xpos[geoms].copy(), _quaternions(rotations))
 
-    def _skeleton(self) -> None:
-        model = self._model
-        mujoco.mj_kinematics(model, self._data)
-        parents = [(int(model.body_parentid[i]), i) for i in range(1, model.nbody)]
-        self._bones = [(a, b) for a, b in parents if np.linalg.norm(self._data.xpos[a] - self._data.xpos[b]) > 1e-3]
-        for a, b in self._bones:
-            length = float(np.linalg.norm(self._data.xpos[a] - self._data.xpos[b]))  # bodies are rigid
-            mesh = trimesh.creation.cylinder(BONE, length)
+    def _skeleton(self, bare: set[int]) -> None:
+        """The bones between bodies that have no shape."""
+        mujoco.mj_kinematics(self._model, self._data)
+        parents = [(int(self._model.body_parentid[i]), i) for i in range(1, self._model.nbody)]
+        lengths = {(a, b): float(np.linalg.norm(self._data.xpos[a] - self._data.xpos[b])) for a, b in parents}
+        self._bones = [ends for ends, length in lengths.items() if bare.issuperset(ends) and length > 1e-3]
+        for ends in self._bones:
+            mesh = trimesh.creation.cylinder(BONE, lengths[ends])  # bodies are rigid
             self.solids.append((mesh.vertices, mesh.faces, ORANGE))
-        self.sizes = np.full((model.nbody, 3), JOINT)
-        self.colours = np.tile(GREY, (model.nbody, 1))
+        self._joints = sorted({end for ends in self._bones for end in ends})
+        self.sizes = np.concatenate([self.sizes, np.full((len(self._joints), 3), JOINT)])
+        self.colours = np.concatenate([self.colours, np.tile(GREY, (len(self._joints), 1))])
 
     def _bones_at(self) -> tuple[Pose, Pose]:
-        ends = self._data.xpos[np.array(self._bones)]  # (bones, 2, 3)
-        along = ends[:, 1] - ends[:, 0]
-        turns = np.stack([trimesh.geometry.align_vectors([0, 0, 1], each)[:3, :3] for each in along])
-        still = np.tile([1.0, 0, 0, 0], (len(self._data.xpos), 1))
-        return Pose(ends.mean(1), _quaternions(turns)), Pose(self._data.xpos.copy(), still)
+        ends = self._data.xpos[np.array(self._bones, dtype=int).reshape(-1, 2)]  # (bones, 2, 3)
+        turns = [trimesh.geometry.align_vectors([0, 0, 1], end - begin)[:3, :3] for begin, end in ends]
+        still = np.tile([1.0, 0, 0, 0], (len(self._joints), 1))
+        bones = Pose(ends.mean(1), _quaternions(np.array(turns).reshape(-1, 3, 3)))
+        return bones, Pose(self._data.xpos[self._joints], still)
 
 
 def ball() -> Any:
     """A ball of radius 1, of few triangles."""
     return trimesh.creation.icosphere(1)
+
+
+def _together(*poses: Pose) -> Pose:
+    return Pose(*(np.concatenate(parts) for parts in zip(*poses, strict=True)))
 
 
 def _quaternions(rotations: np.ndarray) -> np.ndarray:
