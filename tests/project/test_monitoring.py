@@ -21,7 +21,7 @@ LEFT = {
 
 
 def run(code, folder):
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "WANDB_SILENT": "true", "TORCHDS_BACKEND": "eager"}
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "WANDB_SILENT": "true"}
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr
     return done.stdout
