@@ -44,7 +44,7 @@ except ModuleNotFoundError as _missing:  # the computer of a robot: the controll
 
     def __getattr__(name: str) -> Any:
         raise AttributeError(
-            f"torchds.{name} needs torch, which is not installed; without it there is torchds.Controller"
+            f"torchds.{name} needs torch, which is not installed; without it there are torchds.Controller and torchds.control"
         )
 
 else:

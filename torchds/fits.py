@@ -10,6 +10,7 @@ Stability: stable.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from torchds.arrays import Array, count, number
 from torchds.demonstrations import Demonstrations
-from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.errors import DemonstrationWarning, InvalidArgumentError, UnknownNameError
 from torchds.mixture import GaussianMixture
 from torchds.policy import GMRPolicy
 from torchds.stability import Certificate
@@ -87,7 +88,8 @@ def fit_stable(
     in a tube around the demonstrations that narrows to nothing at the goal; it is what keeps a fit from overfitting.
 
     Args:
-        demos: one motion, or several, of one dimension; the same may be given several times, with other seeds.
+        demos: one motion, or several, of one dimension; the same may be given several times, with other seeds. Stiffness that
+            they carry is left out, with a `DemonstrationWarning`: what is stable is the motion.
         n_components: K for all, one K per motion, or "bic" (see `fit_mixtures`).
         condition: "seds" (P = I), "p-qlf" (P is learned) or "none" (nothing but b_k = −A_k x* holds).
         objective: "velocity" or "likelihood".
@@ -121,6 +123,12 @@ def fit_stable(
     n_steps = count("n_steps", n_steps, 10)
     for motion in sequence(demos):
         motion.check().warn(stacklevel=4)  # past the decorator
+    if any(demo.stiffness is not None for motion in sequence(demos) for demo in motion):
+        warnings.warn(
+            "the demonstrations carry a stiffness, which is left out: a stable fit is of the motion",
+            DemonstrationWarning,
+            stacklevel=3,
+        )
     samples = Samples.of(sequence(demos), goal)
     batch, D = samples.x.shape[0], samples.x.shape[-1]
     if start is None:

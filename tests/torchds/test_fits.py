@@ -42,6 +42,12 @@ def test_a_fit_is_close_to_the_demonstrations(fitted, angle, condition, bound):
     assert error(fitted[condition], angle) < bound
 
 
+def test_stiffness_that_is_left_out_is_said(angle):
+    with pytest.warns(DemonstrationWarning, match="carry a stiffness, which is left out"):
+        fit = fit_stable(angle.with_stiffness(100.0), n_components=2, condition="seds", n_steps=10)
+    assert fit.policy.stiffness_dim == 0
+
+
 @pytest.mark.parametrize("condition", ["seds", "p-qlf"])
 def test_a_fit_is_certified_with_its_margin(fitted, angle, condition):
     fit = fitted[condition]

@@ -153,7 +153,8 @@ class Books(ABC):
                 texts[failure(self.update_folder, k).name] = "the reference leaves what the arm reaches\n"
         give(self.update_folder, self.given, texts)
         out_of_reach = ((~possible).nonzero().flatten() + 1).tolist()
-        return Asked(self.done + 1, self.n_updates, self.update_folder, self.optim.n_rollouts, out_of_reach)
+        again = [k for k in range(2, len(possible) + 1) if all(torch.equal(part[k - 1], part[0]) for part in asked)]
+        return Asked(self.done + 1, self.n_updates, self.update_folder, self.optim.n_rollouts, out_of_reach, again)
 
     def _text(self, asked: Reference) -> str:
         return reference_text(self.trial.layout, asked.x, asked.v, asked.stiffness, self.trial.dt)

@@ -60,6 +60,7 @@ class Asked(NamedTuple):
         folder: of the references.
         n_rollouts: N; the first is the policy as it is, the others are perturbed.
         out_of_reach: numbers of the roll-outs that the arm cannot execute; they count as failed.
+        again: numbers of those that are the first once more, by which a search finds out how noisy costs are.
     """
 
     update: int
@@ -67,11 +68,13 @@ class Asked(NamedTuple):
     folder: Path
     n_rollouts: int
     out_of_reach: list[int]
+    again: list[int] = []  # noqa: RUF012 (a default of a named tuple, which nobody changes)
 
     def __str__(self) -> str:
         lines = [
             f"update {self.update} of {self.n_updates}, references in {self.folder}: rollout-1.csv is the policy as it is, "
             f"2 to {self.n_rollouts} are perturbed",
+            *(f"roll-out {k} is the first once more: execute both, their costs tell the noise" for k in self.again),
             *(f"do not execute roll-out {k}: out of reach" for k in self.out_of_reach),
         ]
         return "\n".join(lines)

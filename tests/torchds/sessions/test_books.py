@@ -93,6 +93,6 @@ def test_the_first_roll_out_is_the_policy_and_what_is_out_of_reach_is_not_given(
     far = asked.x[1, -1, 0]
     other = session(tmp_path / "t", "poses")
     other.trial.reaches = lambda x: (x[..., 0] - far).abs() > 1e-6
-    assert other.ask().out_of_reach == [2]
+    assert other.ask()[4:] == ([2], [])
     folder = other.update_folder
     assert sorted(path.name for path in folder.glob("r*")) == ["recording-2.failed", "rollout-1.csv", "rollout-3.csv"]

@@ -22,6 +22,8 @@ def test_what_was_asked_names_the_roll_outs_that_must_not_be_executed():
         "update 2 of 3, references in my session/update-002: rollout-1.csv is the policy as it is, 2 to 8"
     )
     assert said.splitlines()[1:] == [f"do not execute roll-out {k}: out of reach" for k in (4, 7)]
+    said = str(Asked(2, 3, FOLDER / "update-002", 8, [], [2]))
+    assert said.splitlines()[1:] == ["roll-out 2 is the first once more: execute both, their costs tell the noise"]
 
 
 def test_what_was_told_is_a_table_with_a_line_for_each_roll_out():
