@@ -8,11 +8,12 @@ Stability: stable.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -121,10 +122,5 @@ def _of_its_own(value: Any) -> Any:
 
 def versions() -> dict[str, str]:
     """Of the packages that a file of a policy depends on."""
-    found = {}
-    for package in ("torchds", "torch", "numpy"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:  # from a folder, not installed
-            continue
-    return found
+    itself = sys.modules[__name__.partition(".")[0]]  # what runs: a checkout may be newer than what was installed
+    return {"torchds": itself.__version__, "torch": str(torch.__version__), "numpy": np.__version__}

@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
+import torchds
 from tasks import Task
 from tasks.loading import file_of
 from tasks.plain import plain
@@ -261,8 +262,12 @@ def versions() -> dict[str, str]:
 
 @cache
 def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version(), "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
-    for package in ("torchds", "torch", "numpy", "numba", "scipy", "scikit-learn", "cma", "cobyqa", "mujoco"):
+    found = {
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores",
+        "torchds": torchds.__version__,  # what runs: a checkout may be newer than what was installed
+    }
+    for package in ("torch", "numpy", "numba", "scipy", "scikit-learn", "cma", "cobyqa", "mujoco"):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

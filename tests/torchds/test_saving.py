@@ -43,6 +43,7 @@ def test_what_belongs_to_it_comes_back_and_is_kept(random_policy, tmp_path):
     info = torchds.load_policy(tmp_path / "b.pt").info
     assert torch.equal(info.goal, torch.ones(2)) and torch.equal(info.P, 2 * torch.eye(2))
     assert info[2:5] == (("x", "y"), "mm", 0.01) and info.versions["torch"] == torch.__version__
+    assert info.versions["torchds"] == torchds.__version__  # also where what is installed is older
     assert policy.info.goal is None and copy.deepcopy(again).info.units == "m"
 
 

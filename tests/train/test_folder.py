@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import tasks
+import torchds
 from torchds.errors import InvalidArgumentError
 from train.folder import CHECKPOINT, OPTIONS, POLICY, RESULTS, RunFolder, say_versions, versions
 from train.learning.history import History, results
@@ -97,6 +98,7 @@ def test_what_is_missing_is_named_with_the_option_that_asked_for_it(tmp_path):
 
 def test_versions_name_what_results_depend_on():
     assert {"python", "machine", "torchds", "torch", "numpy"} <= set(versions())
+    assert versions()["torchds"] == torchds.__version__
     assert versions()["torch"] == torch.__version__.split("+")[0] or versions()["torch"] == torch.__version__
 
 
