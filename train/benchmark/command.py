@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import datetime
 import json
 import tempfile
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import torch
 from tqdm import tqdm
 
-from torchds.errors import FileError, TorchdsError
+from torchds.errors import FileError, InvalidArgumentError, TorchdsError, UnknownNameError
 from torchds.files import write_atomically
 from train.benchmark.floor import Floor, compile_floor, run_floor
 from train.benchmark.rows import N_STEPS, Row, rows
@@ -44,17 +45,33 @@ class Benchmark:
     """Compare with a file that --json wrote, and name what is slower by more than both spreads."""
 
     def main(self) -> None:
-        """Time all rows, print the table, and compare it."""
+        """Time all rows, print the table, and compare it.
+
+        Raises:
+            InvalidArgumentError: no repeats, or a file of another device to compare with.
+            UnknownNameError: no row with this text in its name.
+            FileError: see `read`.
+        """
+        if self.repeats < 1:
+            raise InvalidArgumentError(f"--repeats has to be at least 1, got {self.repeats}")
         before = None if self.against is None else read(self.against)
         options = options_for("via_point", device=self.device)
         task: Any = options.make_task()
         policy = task.policy().requires_grad_(False)
+        if before is not None and before["device"] != self.name():
+            raise InvalidArgumentError(
+                f"--against {self.against} has the times of {before['device']}, and here is {self.name()}; give a file of it"
+            )
+        every = list(rows(task, policy, self.device, self.updates))
+        wanted = [row for row in every if self.only in row.name]
+        if not wanted:
+            raise UnknownNameError("row", self.only, [row.name for row in every])
         timed: list[dict[str, Any]] = []
         with tempfile.TemporaryDirectory() as folder:
             program = compile_floor(Path(folder))
             if program is None:
                 print("no C++ compiler here (g++, clang++ or c++): there is no floor to compare with")
-            for row in tqdm([row for row in rows(task, policy, self.device, self.updates) if self.only in row.name]):
+            for row in tqdm(wanted):
                 try:
                     seconds = measure(self.finished(row.call), self.repeats)
                 except (TorchdsError, torch.cuda.OutOfMemoryError):
@@ -72,7 +89,7 @@ class Benchmark:
             content = json.dumps(found, indent=1).encode()
             write_atomically(self.json, lambda stream: stream.write(content))
         if before is not None:
-            print(compared(found, before))
+            print(compared(found, before, self.only))
 
     def floor(self, program: Path, row: Row, policy: Any) -> list[float]:
         """Seconds of the C++ program for the work of a row."""
@@ -81,7 +98,7 @@ class Benchmark:
         task: Any = options_for("via_point").make_task()
         steps = N_STEPS if kind == "passes" else task.motion().n_steps
         updates = 0 if kind == "passes" else self.updates
-        measured: Floor = run_floor(program, task, policy.to("cpu"), n, steps, updates, self.repeats)
+        measured: Floor = run_floor(program, task, copy.deepcopy(policy).to("cpu"), n, steps, updates, self.repeats)
         return [row.share * seconds for seconds in getattr(measured, kind)]
 
     def finished(self, call: Callable[[], object]) -> Callable[[], None]:
@@ -100,17 +117,19 @@ class Benchmark:
 
 
 def measure(call: Callable[[], object], repeats: int) -> list[float]:
-    """Seconds of each of `repeats` calls, after one that is not counted; what takes less than 10 ms is called 100 times."""
-    began = time.perf_counter()
-    call()
-    n = 100 if time.perf_counter() - began < 0.01 else 1
-    seconds = []
-    for _ in range(repeats):
+    """Seconds of each of `repeats` calls, after one that may compile; what takes less than 10 ms is called 100 times."""
+
+    def seconds(n: int) -> float:
         began = time.perf_counter()
         for _ in range(n):
             call()
-        seconds.append((time.perf_counter() - began) / n)
-    return seconds
+        return (time.perf_counter() - began) / n
+
+    call()
+    first = seconds(1)
+    return (
+        [seconds(100) for _ in range(repeats)] if first < 0.01 else [first, *(seconds(1) for _ in range(repeats - 1))]
+    )
 
 
 def entry(row: Row, seconds: list[float], floor: list[float] | None) -> dict[str, Any]:
@@ -138,15 +157,25 @@ def table(found: dict[str, Any]) -> str:
     return f"{found['date']}; {found['device']}; {said}\n\n{markdown(HEADER, body, 'lrrrr')}"
 
 
-def compared(found: dict[str, Any], before: dict[str, Any]) -> str:
-    """What is slower than it was: the lower quartile now is above the upper one before."""
-    then = {row["name"]: row for row in before["rows"]}
+def compared(found: dict[str, Any], before: dict[str, Any], only: str = "") -> str:
+    """What is slower than it was: the lower quartile now is above the upper one before; and what cannot be compared.
+
+    Args:
+        found: what was timed now.
+        before: the other file.
+        only: text in the names of the rows that were asked for.
+    """
+    now, then = ({row["name"]: row for row in rows["rows"] if only in row["name"]} for rows in (found, before))
+    both = [name for name in now if name in then]
     slower = [
-        f"slower: {row['name']}: {in_words(row['median'])}, was {in_words(then[row['name']]['median'])}"
-        for row in found["rows"]
-        if row["name"] in then and row["quartiles"][0] > then[row["name"]]["quartiles"][1]
+        f"slower: {name}: {in_words(now[name]['median'])}, was {in_words(then[name]['median'])}"
+        for name in both
+        if now[name]["quartiles"][0] > then[name]["quartiles"][1]
     ]
-    return "\n".join(slower) or f"nothing is slower than on {before['date']} by more than the spread"
+    alone = [f"not compared: {name}: not in the file of {before['date']}" for name in now if name not in then]
+    alone += [f"not compared: {name}: not timed now" for name in then if name not in now]
+    told = slower or [f"of {len(both)} rows none is slower than on {before['date']} by more than the spread"]
+    return "\n".join(told + alone)
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -157,7 +186,11 @@ def read(path: Path) -> dict[str, Any]:
     """
     try:
         found: dict[str, Any] = json.loads(path.read_text())
-        assert found["date"] and all(row["name"] and row["median"] and row["quartiles"] for row in found["rows"])
+        assert (
+            found["date"]
+            and found["device"]
+            and all(row["name"] and row["median"] and row["quartiles"] for row in found["rows"])
+        )
     except (OSError, ValueError, KeyError, TypeError, AssertionError) as error:
         raise FileError(f"{path}: not a file of python -m train benchmark --json ({error})") from error
     return found

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 import tasks
-from torchds import rollout
-from torchds.errors import FileError, InvalidArgumentError
+from torchds import GMRPolicy, rollout
+from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from train.benchmark import command
-from train.benchmark.command import Benchmark, compared, in_words, read
-from train.benchmark.floor import compile_floor, run_floor
+from train.benchmark.command import Benchmark, compared, in_words, measure, read
+from train.benchmark.floor import Floor, compile_floor, run_floor
 from train.benchmark.rows import Row
 
 
@@ -55,7 +55,13 @@ def test_the_table_has_the_ratio_first_and_is_written_and_compared(quick, tmp_pa
     file.write_text(json.dumps(found))
     Benchmark(repeats=2, only="roll-outs", against=file).main()
     assert "slower: 2 roll-outs: " in capsys.readouterr().out
-    assert compared(found, found).startswith("nothing is slower than on 20")
+    with pytest.raises(UnknownNameError, match=r"unknown row 'rollouts'\. Did you mean '2 roll-outs'"):
+        Benchmark(only="rollouts", against=file).main()
+    file.write_text(json.dumps({**found, "device": "another"}))
+    with pytest.raises(
+        InvalidArgumentError, match="has the times of another, and here is cpu, one thread; give a file"
+    ):
+        Benchmark(against=file).main()
 
 
 @pytest.mark.slow
@@ -64,6 +70,47 @@ def test_without_a_compiler_there_is_no_floor(quick, monkeypatch, capsys):
     Benchmark(repeats=1).main()
     shown = capsys.readouterr().out
     assert "no C++ compiler here" in shown and "2 roll-outs" in shown
+
+
+def test_only_what_both_have_is_compared():
+    one, two, three = ({"name": f"run {n}", "median": 2.0, "quartiles": [1.9, 2.1]} for n in (1, 2, 3))
+    before, now = {"date": "2020-02-02", "rows": [one, two]}, {"rows": [two, three]}
+    none = "of 1 rows none is slower than on 2020-02-02 by more than the spread"
+    assert compared(now, before).splitlines() == [
+        none,
+        "not compared: run 3: not in the file of 2020-02-02",
+        "not compared: run 1: not timed now",
+    ]
+    assert compared(now, before, "2") == none
+    slow = {**two, "median": 3.0, "quartiles": [2.2, 4.0]}
+    assert compared({"rows": [slow]}, before, "2") == "slower: run 2: 3 s, was 2 s"
+
+
+@pytest.mark.parametrize(("seconds", "repeats", "calls"), [((5.0, 0.001), 2, 202), ((0.001, 1.0), 2, 3)])
+def test_what_compiles_in_its_first_call_is_timed_as_often_as_it_is_short(seconds, repeats, calls, monkeypatch):
+    made, now = [], [0.0]
+
+    def call():
+        now[0] += seconds[bool(made)]
+        made.append(1)
+
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    assert measure(call, repeats) == pytest.approx([seconds[1]] * repeats)
+    assert len(made) == calls
+
+
+def test_no_repeats_are_refused():
+    with pytest.raises(InvalidArgumentError, match="--repeats has to be at least 1, got 0"):
+        Benchmark(repeats=0).main()
+
+
+def test_the_floor_leaves_the_policy_where_it_is(monkeypatch):
+    task = tasks.make("via_point").to(dtype=torch.float32)
+    policy, moved = task.policy(), []
+    monkeypatch.setattr(GMRPolicy, "to", lambda self, device: moved.append(self) or self)
+    monkeypatch.setattr(command, "run_floor", lambda *_: Floor([1.0], [], 0.0, 0.0, 0.0))
+    assert Benchmark().floor(None, Row("few", lambda: None, ("passes", 2), 3), policy) == [3.0]
+    assert moved and policy not in moved
 
 
 @pytest.mark.parametrize("content", [None, "no json", "{}", '{"date": "2026", "rows": [{}]}'])
