@@ -70,13 +70,13 @@ class Benchmark:
         with tempfile.TemporaryDirectory() as folder:
             program = compile_floor(Path(folder))
             if program is None:
-                print("no C++ compiler here (g++, clang++ or c++): there is no floor to compare with")
+                print("no C++ compiler here that works (g++, clang++ or c++): there is no floor to compare with")
             for row in tqdm(wanted):
                 try:
                     seconds = measure(self.finished(row.call), self.repeats)
+                    floor = None if program is None or row.floor is None else self.floor(program, row, policy)
                 except (TorchdsError, torch.cuda.OutOfMemoryError):
                     continue  # this machine cannot
-                floor = None if program is None or row.floor is None else self.floor(program, row, policy)
                 timed.append(entry(row, seconds, floor))
         found = {
             "date": datetime.date.today().isoformat(),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,9 @@ from torch import Tensor
 
 from tasks.via_point import ViaPoint
 from torchds import GMRPolicy
+from torchds.errors import TorchdsError
 from torchds.exploration import Homogeneous
+from train.benchmark.programs import printed
 
 SOURCE = Path(__file__).with_name("floor.cpp")
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=c++17")
@@ -37,19 +38,27 @@ class Floor(NamedTuple):
 
 
 def compile_floor(folder: Path) -> Path | None:
-    """The program in `folder`; None without a C++ compiler."""
+    """The program in `folder`; None without a C++ compiler, or with one that fails, which is printed."""
     compiler = next(filter(None, map(shutil.which, ("g++", "clang++", "c++"))), None)
     if compiler is None:
         return None
     program = folder / "floor"
-    subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(program)], check=True, capture_output=True)
+    try:
+        printed([compiler, *FLAGS, SOURCE, "-o", program])
+    except TorchdsError as error:
+        print(error)
+        return None
     return program
 
 
 def run_floor(
     program: Path, task: ViaPoint, policy: GMRPolicy, n_rollouts: int, n_steps: int, n_updates: int, repeats: int
 ) -> Floor:
-    """Let the program roll out and learn the task from `policy`, with its noise, control cost and decay."""
+    """Let the program roll out and learn the task from `policy`, with its noise, control cost and decay.
+
+    Raises:
+        TorchdsError: it fails.
+    """
     motion, std = task.motion(), Homogeneous(policy, mean_speed=task.search.mean_speed or 0.0).std()
     head = (
         policy.n_components,
@@ -70,7 +79,7 @@ def run_floor(
     tail = (motion.x0, task.goal, torch.tensor(len(task.via_points)), task.via_points)
     numbers += [part.double().flatten() for part in tail]
     text = " ".join(f"{number:.17g}" for number in (*head, *torch.cat(numbers).tolist()))
-    found = subprocess.run([program], input=text, check=True, capture_output=True, text=True).stdout.splitlines()
+    found = printed([program], input=text).splitlines()
     passes, runs, costs = ([float(word) for word in line.split()] for line in found)
     return Floor(passes, runs, *costs)
 

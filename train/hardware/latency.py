@@ -6,7 +6,6 @@ import ctypes
 import functools
 import importlib.util
 import shutil
-import subprocess
 import tempfile
 import time
 import warnings
@@ -19,6 +18,7 @@ import numpy as np
 import torch
 
 from torchds import Controller, GMRPolicy, export
+from train.benchmark.programs import printed
 from train.folder import versions, write_text
 from train.tables import markdown
 
@@ -94,7 +94,7 @@ def exported(policy: GMRPolicy, folder: Path) -> Iterator[tuple[str, Callable[[]
             '#include "motion.h"\nvoid evaluate(const double *x, double *y) { motion_evaluate(x, y); }\n',
         )
         build = ["gcc", "-O2", "-shared", "-fPIC", "motion.c", "-o", "motion.so", "-lm"]
-        subprocess.run(build, cwd=folder, check=True)
+        printed(build, cwd=folder)
         y = np.empty(policy.output_dim + policy.stiffness_dim)
         pointers = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (x, y)]
         evaluate = ctypes.CDLL(str(folder / "motion.so")).evaluate

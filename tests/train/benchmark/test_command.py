@@ -1,6 +1,7 @@
 """python -m train benchmark: what it times, and what it compares with, at its smallest."""
 
 import json
+import sys
 
 import pytest
 import torch
@@ -65,11 +66,13 @@ def test_the_table_has_the_ratio_first_and_is_written_and_compared(quick, tmp_pa
 
 
 @pytest.mark.slow
-def test_without_a_compiler_there_is_no_floor(quick, monkeypatch, capsys):
-    monkeypatch.setattr("shutil.which", lambda name: None)
+@pytest.mark.parametrize("compiler", [None, sys.executable])
+def test_without_a_compiler_that_works_there_is_no_floor(quick, compiler, monkeypatch, capsys):
+    monkeypatch.setattr("shutil.which", lambda name: compiler)
     Benchmark(repeats=1).main()
     shown = capsys.readouterr().out
     assert "no C++ compiler here" in shown and "2 roll-outs" in shown
+    assert (compiler is not None) == ("ended with exit code" in shown)
 
 
 def test_only_what_both_have_is_compared():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import cycle, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +15,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from torchds import files, plotting
-from torchds.errors import InvalidArgumentError, UnknownNameError
+from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
 from train.benchmark.scale import simulated
 from train.benchmark.scale.measured import CASES, Timing, timed
 from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
@@ -84,27 +86,34 @@ class Scale:
                 "--processes, --workers, --repeats, --runs and --updates have to be at least 1 and --patience positive, got "
                 f"{self.processes}, {self.workers}, {self.repeats}, {self.runs}, {self.updates} and {self.patience}"
             )
-        text, figure = self.measure() if self.action == "measure" else self.simulate()
+        text, drawn = self.measure() if self.action == "measure" else self.simulate()
         folder = new_folder(self.logdir / "scale")
         write_text(folder / f"{self.action}.md", text)
-        if figure is not None:
-            plotting.save(folder / "simulated.png", figure)
         files.write_json(folder / "versions.json", versions())
         print(text)
+        if drawn is not None:
+            plotting.save(folder / "simulated.png", drawn())
         print(f"all of it in {folder}")
         return folder
 
     # ------------------------------------------------------------------ measure
 
     def measure(self) -> tuple[str, None]:
-        """The table of all cases and numbers of processes."""
+        """The table of all cases and numbers of processes, and what this machine cannot run."""
         names = [name for name in CASES if self.only in name]
         if not names:
             raise UnknownNameError("case", self.only, CASES)
         found: dict[tuple[str, int], list[Timing]] = {}
+        failed: dict[tuple[str, int], str] = {}
         for name, _, n in tqdm(list(product(names, range(self.repeats), self.processes))):
-            found.setdefault((name, n), []).append(timed(name, n))
-        return markdown(HEAD, [self.line(name, n, found) for name in names for n in self.processes]) + "\n", None
+            if (name, n) not in failed:
+                try:
+                    found.setdefault((name, n), []).append(timed(name, n))
+                except TorchdsError as error:
+                    failed[name, n] = str(error)
+        lines = [self.line(name, n, found) for name in names for n in self.processes if (name, n) not in failed]
+        cannot = [f"{name}, {n} process(es) cannot be had: {why}" for (name, n), why in failed.items()]
+        return "\n\n".join([markdown(HEAD, lines), *cannot]) + "\n", None
 
     def line(self, name: str, n: int, found: dict[tuple[str, int], list[Timing]]) -> list[str]:
         """A line of the table: medians over the repeats, ratios of what was measured one after the other."""
@@ -121,8 +130,8 @@ class Scale:
 
     # ------------------------------------------------------------------ simulate
 
-    def simulate(self) -> tuple[str, Figure]:
-        """Tables and figure of many workers."""
+    def simulate(self) -> tuple[str, Callable[[], Figure]]:
+        """Tables of many workers, and what draws their figure."""
         times = self.times()
         waits = {
             (between, workers): [self.waits(failing, workers, share) for share in SHARES]
@@ -148,7 +157,7 @@ class Scale:
             parts.append(
                 f"{what}:\n\n{markdown(head, [[name, *map(summary, costs)] for name, costs in row[1].items()])}"
             )
-        return "\n\n".join(parts) + "\n", draw(waits, learned)
+        return "\n\n".join(parts) + "\n", partial(draw, waits, learned)
 
     def waits(self, times: Times, workers: int, share: float, patience: float | None = None) -> float:
         """The mean wait of an update [s], over fewer updates of many workers, since these vary less."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import subprocess
 import sys
 import tempfile
 import time
@@ -16,6 +15,7 @@ import torch
 import torch.distributed as dist
 
 from torchds import files
+from train.benchmark.programs import printed
 from train.learning.learner import Learner
 from train.learning.processes import joined
 from train.options import options_for
@@ -71,13 +71,17 @@ class Timing(NamedTuple):
 
 
 def timed(case: str, processes: int, updates: int | None = None) -> Timing:
-    """Start that many processes and time their updates."""
+    """Start that many processes and time their updates.
+
+    Raises:
+        TorchdsError: they fail.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "timing.json"
         launch = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"]
         program = ["-m", "train.benchmark.scale.measured", case, str(updates or CASES[case].updates), str(path)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        subprocess.run([sys.executable, *launch, *program], check=True, env=environment, capture_output=True)
+        printed([sys.executable, *launch, *program], env=environment)
         return Timing(**files.read_sealed(path))
 
 

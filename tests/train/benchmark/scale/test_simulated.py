@@ -1,13 +1,16 @@
 """Many simulated workers, against what is known of order statistics, and trials that are late or old."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
 
 from tests.forked import forked
 from tests.motions import Short
-from torchds.errors import InvalidArgumentError, UnknownNameError
-from train.benchmark.scale import simulated
+from torchds.errors import InvalidArgumentError, TorchdsError, UnknownNameError
+from train.benchmark.programs import printed
+from train.benchmark.scale import command, simulated
 from train.benchmark.scale.command import SHARES, Scale, draw
 from train.benchmark.scale.measured import CASES, Timing, learn
 from train.benchmark.scale.simulated import Times, gather_seconds, lossy, stale, update_seconds
@@ -121,6 +124,10 @@ def test_the_simulation_leaves_tables_and_a_figure(task, monkeypatch, tmp_path, 
     assert "| 50 | an hour |" in said and "Final cost on N, by updates old" in said
     assert (folder / "simulated.png").stat().st_size > 10_000
     assert (folder / "simulate.md").read_text() in said
+    monkeypatch.setattr(Scale, "simulate", lambda scale: ("computed", lambda: 1 / 0))
+    with pytest.raises(ZeroDivisionError):  # a figure that cannot be drawn takes nothing away
+        scale.main()
+    assert "computed" in [path.read_text() for path in (tmp_path / "scale").glob("*/simulate.md")]
     monkeypatch.setattr(simulated, "rollout_seconds", lambda options, trials: [2.0] * trials)
     assert Scale("simulate").times() == pytest.approx(Times(2.0, 0.0, 0.0))
 
@@ -140,6 +147,27 @@ def test_wrong_numbers_and_names_are_refused(tmp_path):
             Scale("measure", **wrong, logdir=tmp_path).main()
     with pytest.raises(UnknownNameError, match="unknown case 'nothing'"):
         Scale("measure", only="nothing", logdir=tmp_path).main()
+
+
+def test_what_a_machine_cannot_run_is_said_and_takes_nothing_away(monkeypatch, tmp_path):
+    def timed(name, n):
+        said = "import sys; sys.exit('Traceback\\na.MissingPackageError: no mujoco\\nlater\\n====')"
+        if "digging" in name:
+            printed([sys.executable, "-c", said])
+        return Timing(0.5, 0.4, 0.0, 0.0, 0, 0)
+
+    monkeypatch.setattr(command, "timed", timed)
+    folder = Scale("measure", only="di", processes=(1,), repeats=2, logdir=tmp_path).main()
+    text = (folder / "measure.md").read_text()
+    assert "| divergent field, 10 roll-outs | 1 | 500 [500, 500] |" in text and "| digging" not in text
+    assert text.count("digging of 3 s, 10 roll-outs, 1 process(es) cannot be had: ") == 1
+    assert text.endswith("ended with exit code 1: a.MissingPackageError: no mujoco\n")
+
+
+@pytest.mark.parametrize(("said", "why"), [("one\nlast\n", "last"), ("", "it says nothing")])
+def test_a_program_that_fails_says_why(said, why):
+    with pytest.raises(TorchdsError, match=f"ended with exit code 3: {why}$"):
+        printed([sys.executable, "-c", f"import sys; sys.stderr.write({said!r}); sys.exit(3)"])
 
 
 @pytest.mark.slow
