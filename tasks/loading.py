@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
@@ -49,6 +49,11 @@ def file_of(spec: str) -> Path | None:
     """The file that `spec` names; None for other names."""
     where = spec if is_problem(spec) else spec.rpartition(":")[0]
     return Path(where) if is_problem(spec) or where.endswith(".py") else None
+
+
+def bare(value: Any) -> Any:
+    """The place of a class or a problem without the folder of its file; anything else as it is."""
+    return Path(value).name if isinstance(value, str) and file_of(value) is not None else value
 
 
 def helpers(file: Path) -> list[Path]:

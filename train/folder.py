@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import torchds
 from tasks import Task
-from tasks.loading import file_of
+from tasks.loading import bare
 from tasks.plain import plain
 from torchds import GMRPolicy, files, kernels, load_policy
 from torchds.dmp import DMP
@@ -231,17 +231,12 @@ def check_identity(path: Path, content: Mapping[str, Any], options: RunOptions) 
         f"{name} {there.get(name, usual.get(name))} there and {here[name]} here"
         for name in here
         if name not in ("updates", "logdir", "threads", "device")
-        and _bare(there.get(name, usual.get(name))) != _bare(here[name])
+        and bare(there.get(name, usual.get(name))) != bare(here[name])
     ]
-    if _bare(content["task"]) != _bare(options.task):
+    if bare(content["task"]) != bare(options.task):
         differing.insert(0, f"task {content['task']} there and {options.task} here")
     if differing:
         raise FileError(f"{path} belongs to another run: {', '.join(differing)}")
-
-
-def _bare(value: Any) -> Any:
-    """The place of a class or a problem without the folder of its file; anything else as it is."""
-    return Path(value).name if isinstance(value, str) and file_of(value) is not None else value
 
 
 def say_versions(path: Path, written: Mapping[str, str]) -> None:
