@@ -5,6 +5,7 @@ Stability: stable.
 
 from __future__ import annotations
 
+import warnings
 import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -139,6 +140,8 @@ class TensorBoard:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on in a folder where `state_dict` was taken, before the first call.
 
+        Where the file has gone or is shorter than it was then, a new one begins, and a UserWarning says so.
+
         Raises:
             FileError: the file cannot be written.
         """
@@ -153,18 +156,20 @@ class TensorBoard:
                     f"{self._path} is there already; give each run a folder of its own, or continue that one: "
                     "load_state_dict of what state_dict returned"
                 )
-            events = self._open(0)
-            events.charts()
-            if self.options:
-                events.options(self.options)
-            return events
+            return self._open(0)
         return self._events
 
     def _open(self, length: int) -> Events:
         make_folder(self.logdir)
-        self._events = self._make(self.logdir, length)
-        weakref.finalize(self, self._events.close)
-        return self._events
+        self._events = events = self._make(self.logdir, length)
+        weakref.finalize(self, events.close)
+        if events.lost:
+            warnings.warn(f"{self._path} was cut or lost; it has the updates from here on alone", stacklevel=3)
+        if events.lost or not length:
+            events.charts()
+            if self.options:
+                events.options(self.options)
+        return events
 
     def _write(self, scalars: dict[str, float], step: int) -> None:
         self._begun().scalars(scalars, step)

@@ -1,3 +1,4 @@
+import os
 import sys
 
 import pytest
@@ -86,6 +87,20 @@ def test_a_run_goes_on_from_a_checkpoint_with_every_update_once(tmp_path):
     again.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
     run(again, 1, begin=3, at=at)
     assert steps(tmp_path) == [8, 16, 24]
+
+
+@pytest.mark.parametrize("left", [0, 40, None])
+def test_where_the_file_of_a_checkpoint_is_cut_or_lost_this_is_said_and_a_whole_one_begins(tmp_path, left):
+    board = TensorBoard(tmp_path)
+    at = run(board, 2)
+    state, path = board.state_dict(), tmp_path / "events.out.tfevents.run"
+    path.unlink() if left is None else os.truncate(path, left)
+    again = TensorBoard(tmp_path, options={"spread": 0.3})
+    with pytest.warns(UserWarning, match="was cut or lost; it has the updates from here on alone"):
+        again.load_state_dict(state)
+    run(again, 1, begin=3, at=at)
+    assert steps(tmp_path) == [24]
+    assert {"_hparams_/session_start_info", "custom_scalars__config__"} <= set(read(tmp_path).summary_metadata)
 
 
 def test_a_folder_of_another_run_is_left_alone(tmp_path):
