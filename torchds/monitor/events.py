@@ -12,6 +12,7 @@ import io
 import os
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -97,14 +98,17 @@ class Events:
         """Bring all events into the file, where TensorBoard sees them; returns its length.
 
         Raises:
-            FileError: the disk is full or gone.
+            FileError: the disk is full or gone; the file is as it was, and the next call writes these events too.
         """
-        data = self._pending.getbuffer()
+        before, data = self._file.tell(), memoryview(self._pending.getvalue())
         try:
             while data:
                 data = data[self._file.write(data) :]
             length = self._file.tell()
         except OSError as error:
+            with suppress(OSError):  # half a record would hide all that follows
+                self._file.seek(before)
+                self._file.truncate()
             raise FileError(f"{self.path} cannot be written: {reason(error)}") from error
         self._pending = io.BytesIO()
         self._records = RecordWriter(self._pending)

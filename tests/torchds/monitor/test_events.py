@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -44,6 +46,25 @@ def test_a_file_shorter_than_the_checkpoint_says_is_begun_anew(tmp_path):
         assert events.lost
         events.scalars({"a": 1.0}, 0)
     assert len(read(tmp_path).Scalars("a")) == 1
+
+
+def test_what_a_full_disk_refused_is_written_whole_once_there_is_room(tmp_path):
+    with Events(tmp_path) as events:
+        length, disk = events.write(), events._file
+        events.scalars({"a": 1.0}, 0)
+
+        def half(data):
+            if left := disk.write(data[: min(20, length + 20 - disk.tell())]):
+                return left
+            raise OSError(28, "No space left on device")
+
+        events._file = SimpleNamespace(write=half, tell=disk.tell, seek=disk.seek, truncate=disk.truncate)
+        with pytest.raises(FileError, match="No space left on device"):
+            events.write()
+        assert (tmp_path / NAME).stat().st_size == length
+        events._file = disk
+        events.scalars({"a": 2.0}, 1)
+    assert [event.value for event in read(tmp_path).Scalars("a")] == [1.0, 2.0]
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
