@@ -5,6 +5,8 @@ Stability: stable.
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +16,7 @@ from torchds.files import read_sealed
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-RESULTS = "results.json"
+RESULTS, EVENTS = "results.json", "events.out.tfevents.*"
 
 
 def to_dataframe(folder: str | Path) -> DataFrame:
@@ -29,7 +31,8 @@ def to_dataframe(folder: str | Path) -> DataFrame:
 
     Raises:
         MissingPackageError: pandas is not installed.
-        FileError: there is neither file, or it is damaged.
+        FileError: there is neither file, or it is damaged; where TensorBoard's ends in the middle of a record, as while it is
+            written, that is left out.
     """
     try:
         import pandas
@@ -38,7 +41,7 @@ def to_dataframe(folder: str | Path) -> DataFrame:
     folder = Path(folder)
     if (folder / RESULTS).is_file():
         return pandas.DataFrame(_by_run(read_sealed(folder / RESULTS, unsealed=("rollouts", "cost", "terms"))))
-    if not any(folder.glob("events.out.tfevents.*")):
+    if not any(folder.glob(EVENTS)):
         raise FileError(
             f"{folder} has no {RESULTS} and no events; give the folder of a finished run, or of TensorBoard's file"
         )
@@ -63,8 +66,33 @@ def _by_run(content: dict[str, Any]) -> dict[str, list[Any]]:
 def _by_tag(folder: Path) -> dict[str, dict[int, float]]:
     """Tag -> step -> number."""
     try:
-        from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+        from tensorboard.compat.proto.event_pb2 import Event
     except ImportError as error:
         raise MissingPackageError("tensorboard", "monitor", "reading TensorBoard's file") from error
-    events = EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
-    return {tag: {event.step: event.value for event in events.Scalars(tag)} for tag in events.Tags()["scalars"]}
+    found: dict[str, dict[int, float]] = {}
+    for path in sorted(folder.glob(EVENTS)):
+        for event in map(Event.FromString, _records(path)):
+            for value in event.summary.value:
+                if value.HasField("simple_value"):
+                    found.setdefault(value.tag, {})[event.step] = value.simple_value
+    return found
+
+
+def _records(path: Path) -> Iterator[bytes]:
+    """What stands in TensorBoard's file between lengths and checksums; its own readers end at a damaged one, without a word."""
+    from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
+
+    content, at = path.read_bytes(), 0
+
+    def checked(begin: int, end: int) -> bytes:
+        if struct.unpack_from("<I", content, end)[0] != masked_crc32c(content[begin:end]):
+            raise FileError(f"{path} is damaged at byte {begin}; take a copy of it, or make the run again")
+        return content[begin:end]
+
+    while at + 12 <= len(content):
+        (length,) = struct.unpack("<Q", checked(at, at + 8))
+        begin, end = at + 12, at + 12 + length
+        if end + 4 > len(content):
+            return
+        yield checked(begin, end)
+        at = end + 4

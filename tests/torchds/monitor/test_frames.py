@@ -2,6 +2,7 @@ import builtins
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import torchds
 from torchds import files
@@ -36,6 +37,16 @@ def test_what_tensorboard_wrote_is_a_row_for_each_step(tmp_path):
     frame = to_dataframe(tmp_path)
     assert frame.index.tolist() == [4, 8, 12] and frame.index.name == "rollouts"
     assert frame["exploration/mean_cost"].tolist() == pytest.approx(seen, rel=1e-6)
+    read = EventAccumulator(str(tmp_path)).Reload()
+    assert set(frame) == set(read.Tags()["scalars"])
+    (path,) = tmp_path.glob("events.*")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert to_dataframe(tmp_path).index.tolist() == [4, 8, 12]  # the last record alone is not there yet
+    for place in (2, 9, 20, len(whole) // 2, len(whole) - 2):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        with pytest.raises(FileError, match="is damaged"):
+            to_dataframe(tmp_path)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
