@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchds import poses
+from torchds import poses, quartiles
 from torchds.arrays import Array, real
 from torchds.demonstrations import Demonstrations
 from torchds.errors import InvalidArgumentError, MissingPackageError
@@ -266,6 +266,8 @@ def finish_map(axes: Axes, title: str, unit: str = "", names: Sequence[str] = ("
 def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, Any], *, total: str = "total") -> None:
     """Cost terms against roll-outs: median over runs and the band between the quartiles.
 
+    A cost that is not finite, as of a run that failed, counts as infinite: curves and bands leave out where they are infinite.
+
     Args:
         axes: to draw into.
         rollouts: `[U+1]` roll-outs spent.
@@ -275,14 +277,15 @@ def learning_curves(axes: Axes, rollouts: Sequence[int], curves: Mapping[str, An
     """
     looks = itertools.cycle(itertools.product(("-", "--", ":"), TERMS))
     for name, values in curves.items():
-        q1, median, q3 = np.nanquantile(np.asarray(values, dtype=float), [0.25, 0.5, 0.75], axis=1)
+        q1, median, q3 = quartiles.of_costs(values, axis=1)
         is_total = name == total
         style, color = ("-", "black") if is_total else next(looks)
         lw, zorder = (2.4, 5) if is_total else (1.5, 3)
         axes.plot(rollouts, median, style, color=color, lw=lw, zorder=zorder, label=name.replace("_", "-"))
         axes.fill_between(rollouts, q1, q3, color=color, alpha=0.16, lw=0)
-    positive = all(np.nanmin(np.asarray(values, dtype=float)) >= 0 for values in curves.values())
-    if positive:
+    costs = np.concatenate([np.ravel(values) for values in curves.values()])
+    costs = costs[np.isfinite(costs)]
+    if (costs >= 0).all() and (costs > 0).any():
         log_scale(axes)
     axes.set_xlabel("roll-outs")
     axes.set_ylabel("cost of the policy without noise")

@@ -14,7 +14,7 @@ LIBRARY = [
     {"errors", "devices"},
     {"archives"},
     {"control"},
-    {"kernels", "visits", "sharing", "arrays", "em", "files", "findings", "locks"},
+    {"kernels", "visits", "sharing", "arrays", "quartiles", "em", "files", "findings", "locks"},
     {"preparation", "mending", "policy_file"},
     {"mixture", "demonstrations", "costs", "stops", "forces", "disturbances", "stability", "metrics"},
     {"recordings", "poses", "parameters", "trainable", "starts", "kinematics", "arm_law"},

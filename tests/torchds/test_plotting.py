@@ -230,11 +230,10 @@ def test_a_map_has_equal_axes_and_units(axes):
 
 def test_learning_curves_are_medians_between_quartiles(axes):
     costs = np.random.default_rng(0).uniform(1, 2, (4, 9))
-    costs[2, 3] = np.nan  # a failed roll-out
+    costs[2, 3] = np.nan  # a failed run is worse than all others
     plotting.learning_curves(axes, [0, 10, 20, 30], {"via_points": costs, "total": 2 * costs})
     first, total = axes.lines
-    median = [sorted(row[~np.isnan(row)]) for row in costs]
-    expected = [(row[4] if len(row) == 9 else (row[3] + row[4]) / 2) for row in median]
+    expected = [sorted([*row[~np.isnan(row)], np.inf])[4] for row in costs]
     assert first.get_ydata() == pytest.approx(expected) and total.get_ydata() == pytest.approx(2 * np.array(expected))
     assert first.get_xdata() == pytest.approx([0, 10, 20, 30])
     assert legend(axes) == ["via-points", "total"] and to_rgba(total.get_color()) == to_rgba("black")
@@ -247,6 +246,17 @@ def test_learning_curves_are_medians_between_quartiles(axes):
 def test_more_terms_than_colours_are_told_apart_by_their_lines(axes):
     plotting.learning_curves(axes, [0, 1], {f"term_{i}": [[1.0], [2.0]] for i in range(2 * len(plotting.TERMS) + 1)})
     assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == len(axes.lines)
+
+
+def test_curves_end_where_most_runs_have_failed(axes):
+    inf = np.inf
+    plotting.learning_curves(axes, [0, 1, 2], {"total": [[1.0, 2.0, 3.0], [1.0, np.nan, inf], [inf, inf, inf]]})
+    FigureCanvasAgg(axes.figure).draw()
+    assert axes.lines[0].get_ydata().tolist() == [2.0, inf, inf] and axes.get_yscale() == "log"
+    assert 1.0 < axes.get_ylim()[1] < 10
+    other = Figure().add_subplot()
+    plotting.learning_curves(other, [0, 1], {"total": [[inf], [np.nan]]})
+    FigureCanvasAgg(other.figure).draw()
 
 
 def test_a_negative_cost_needs_a_linear_scale(axes):

@@ -22,7 +22,7 @@ from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
 from train.options import LEARNERS, RunOptions, check_seed, options_for
 from train.searchers.base import Closure
-from train.statistics import differ, quartiles
+from train.statistics import differ, of_costs
 from train.tables import markdown
 
 Experiment = Literal["recruit", "noise", "starts"]
@@ -109,7 +109,7 @@ class Beyond:
             first = {way.group: costs for way, (_, costs) in reversed(list(zip(ways, results, strict=True)))}
             rows = []
             for way, (trajectories, costs) in zip(ways, results, strict=True):
-                q1, median, q3 = (f"{value:.3g}" for value in quartiles(costs))
+                q1, median, q3 = (f"{value:.3g}" for value in of_costs(costs))
                 base = first[way.group]
                 p = "" if base is costs else f"{differ(costs, base):.1g}"
                 rows.append((way.group, way.label, str(trajectories), median, q1, q3, p))

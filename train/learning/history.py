@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchds.errors import InvalidArgumentError
 from train.folder import versions
-from train.statistics import median, quartiles
+from train.statistics import of_costs
 from train.tables import aligned
 
 
@@ -87,6 +87,6 @@ def table(history: History) -> str:
     if len(history.cost[-1]) == 1:
         return aligned(("cost", "initial", "final"), [(name, v[0][0], v[-1][0]) for name, v in columns.items()])
     for name, values in columns.items():
-        q1, middle, q3 = quartiles(values[-1])
-        rows.append((name, median(values[0]), middle, f"[{q1:.4g}, {q3:.4g}]"))
+        q1, middle, q3 = of_costs(values[-1])
+        rows.append((name, of_costs(values[0])[1], middle, f"[{q1:.4g}, {q3:.4g}]"))
     return aligned(("cost", "initial", "final: median", "[q1, q3]"), rows)

@@ -13,9 +13,8 @@ from tqdm import tqdm
 
 from tasks import Task
 from tasks.loading import short
-from torchds import plotting
+from torchds import monitor, plotting
 from torchds.errors import InvalidArgumentError
-from torchds.monitor import of_costs
 from torchds.monitor.events import Events
 from train.folder import OPTIONS, RESULTS, Interrupted, RunFolder
 from train.learning import figures
@@ -25,7 +24,7 @@ from train.learning.learner import Learner
 from train.learning.processes import Processes, Several, joined, restarts
 from train.options import RunOptions, check_seed, usual_values
 from train.searchers.named import runs_vary
-from train.statistics import median
+from train.statistics import of_costs
 
 SAVE_EVERY = 1.0  # s between two checkpoints; what is lost with a kill is computed again, bit for bit
 
@@ -221,7 +220,7 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0, processes: Proc
                 if learner.done == learner.n_updates or time.monotonic() - saved >= SAVE_EVERY:
                     folder.save_checkpoint(learner, events.flush())
                     saved = time.monotonic()
-                bar.set_postfix_str(f"cost {median(learner.history.cost[-1]):.4g}", refresh=False)
+                bar.set_postfix_str(f"cost {of_costs(learner.history.cost[-1])[1]:.4g}", refresh=False)
                 bar.update()
         except KeyboardInterrupt:
             raise Interrupted(f"stopped; continue with: {resuming(options.task, folder)}") from None
@@ -230,7 +229,7 @@ def learn(folder: RunFolder, learner: Learner, written: int = 0, processes: Proc
         finish(folder, events, album)
     print(table(history))
     if (noise := learner.searcher.scalars().get("surrogate/noise")) is not None:
-        share = noise / abs(median(history.cost[0]))
+        share = noise / abs(of_costs(history.cost[0])[1])
         print(f"estimated noise in the cost of a trial: {noise:.3g}, {share:.1%} of the initial cost")
     print(f"{history.rollouts[-1]} roll-outs per run in {history.seconds:.1f} s; figures and results in {folder.path}")
     return folder.path
@@ -271,7 +270,7 @@ def log(events: Events, learner: Learner, seconds: float) -> None:
 
 def of_history(history: History, update: int) -> dict[str, float]:
     """What the history says of an update."""
-    return of_costs({name: values[update] for name, values in history.terms.items()}) | {
+    return monitor.of_costs({name: values[update] for name, values in history.terms.items()}) | {
         "rollouts/updates": update,
         "rollouts/failed": history.failed[update],
         "rollouts/forward_equivalents": history.forward_equivalents[update],

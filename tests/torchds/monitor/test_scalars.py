@@ -3,6 +3,7 @@ import pytest
 import torch
 
 import torchds
+from torchds.errors import InvalidArgumentError
 from torchds.monitor import of_costs, of_search
 
 
@@ -16,6 +17,19 @@ def test_costs_are_medians_with_quartiles_of_their_sum():
         "cost/goal": 2.5,
         "cost/control": 0.0,
     }
+
+
+def test_a_run_that_failed_is_worse_than_all_others():
+    seen = of_costs({"goal": [1.0, float("nan"), 3.0, 2.0, 4.0], "control": [0.5] * 5})
+    assert [seen[f"cost/{name}"] for name in ("total_q1", "total", "total_q3", "goal")] == [2.5, 3.5, 4.5, 3.0]
+    assert of_costs({"goal": [1.0, float("nan"), float("inf")]})["cost/total"] == float("inf")
+
+
+def test_a_sum_beside_its_terms_is_refused():
+    with pytest.raises(
+        InvalidArgumentError, match="without 'total', which is their sum, got goal, total; leave it out"
+    ):
+        of_costs({"goal": [1.0], "total": [1.0]})
 
 
 def test_one_policy_has_no_width():

@@ -44,6 +44,11 @@ def test_the_table_of_one_run_has_no_quartiles(history):
     assert lines == [["cost", "initial", "final"], ["total", "4.5", "1.5"], ["via", "2", "0.5"]]
 
 
+def test_a_run_that_failed_is_the_worst_of_the_table(history):
+    history.cost[-1][0] = float("nan")
+    assert table(history).splitlines()[1].split()[2:] == ["6.5", "[4.5,", "inf]"]
+
+
 def test_a_history_comes_back_from_its_plain_values(history):
     assert History(**json.loads(json.dumps(vars(history)))) == history
 

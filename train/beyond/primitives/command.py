@@ -21,7 +21,7 @@ from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
 from train.learning.run import distinct
 from train.options import LEARNERS, check_seed, options_for
-from train.statistics import differ, quartiles
+from train.statistics import differ, of_costs, quartiles
 from train.tables import markdown
 
 SHAPES = ("N", "P")
@@ -140,8 +140,8 @@ def learned(rows: list[Row]) -> str:
         marks = [min(range(len(rollouts)), key=lambda i, m=m: abs(rollouts[i] - m)) for m in (0, 100, 200)]  # type: ignore[misc]
         (other,) = (r for r in rows if (r.shape, r.way) == (row.shape, row.way) and r.system != row.system)
         both = len(row.cost[-1]) > 1 and row.system == "dmp"
-        q1, middle, q3 = quartiles(row.cost[-1])
-        costs = [f"{np.median(row.cost[m]):.3g}" for m in marks]
+        q1, middle, q3 = of_costs(row.cost[-1])
+        costs = [f"{of_costs(row.cost[m])[1]:.3g}" for m in marks]
         p = f"{differ(row.cost[-1].tolist(), other.cost[-1].tolist()):.1g}" if both else ""
         lines.append((row.shape, SYSTEMS[row.system], row.way, *costs, f"{middle:.3g} [{q1:.3g}, {q3:.3g}]", p))
     end = rows[0].learner.history.rollouts[-1]

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from torchds import plotting
 from train.beyond.primitives.rows import Row, Seen
-from train.statistics import quartiles
+from train.statistics import of_costs
 
 LEARNERS = {"pibb": "black", "pi2": "#8a8a8a", "recommended": "#c2185b", "adam": "#e8a33d"}
 SYSTEMS = {"gmr": ("dynamical system (GMR)", "#1f5fa8", "-"), "dmp": ("movement primitive (DMP)", "#d1561f", "--")}
@@ -51,7 +51,7 @@ def draw(rows: Sequence[Row], seen: Sequence[Seen]) -> Figure:
 def draw_curves(axes: Axes, rows: Sequence[Row]) -> None:
     """Medians and quartiles over runs, the system by the dashes."""
     for row in rows:
-        q1, middle, q3 = quartiles(row.cost, axis=1)
+        q1, middle, q3 = of_costs(row.cost, axis=1)
         x, color = row.learner.history.rollouts, LEARNERS[row.way]
         axes.plot(x, middle, SYSTEMS[row.system][2], color=color, lw=1.8)
         axes.fill_between(x, q1, q3, color=color, alpha=0.1, lw=0)

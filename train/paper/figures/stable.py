@@ -26,7 +26,7 @@ from train.paper.measured.stable import (
     certified,
     variant,
 )
-from train.statistics import below, quartiles, summary
+from train.statistics import below, of_costs, summary
 from train.tables import markdown
 
 
@@ -87,12 +87,12 @@ def figure_8(runs: int, seed: int) -> Made:
     styles = {FREE: "--", TIED: ":"}
     for name, found in variants.items():
         level = LEVELS.index(SHOWN) if found.cost.shape[1] > 1 else 0
-        q1, median, q3 = quartiles(found.cost[:, level], axis=-1)
+        q1, median, q3 = of_costs(found.cost[:, level], axis=-1)
         rollouts = 10 * np.arange(len(median))
         left.plot(rollouts, median, color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
         left.fill_between(rollouts, q1, q3, color=colors[name], alpha=0.12, lw=0)
         if found.cost.shape[1] > 1:
-            q1, median, q3 = quartiles(found.cost[-1], axis=-1)
+            q1, median, q3 = of_costs(found.cost[-1], axis=-1)
             right.plot(LEVELS, median, "o", color=colors[name], ls=styles.get(name, "-"), lw=1.8, label=name)
             right.fill_between(LEVELS, q1, q3, color=colors[name], alpha=0.12, lw=0)
     left.set_xlabel("roll-outs")

@@ -17,6 +17,7 @@ from torchds import GMRPolicy, Rollout
 from train.folder import CHECKPOINT, RunFolder
 from train.learning.learner import Learner
 from train.learning.run import check, distinct
+from train.statistics import of_costs
 from train.view.studio.worker import Pipe, said
 
 PICTURES = 40.0  # a second, at most
@@ -161,7 +162,7 @@ class Apprentice:
                 learner.done,
                 learner.n_updates,
                 list(history.rollouts),
-                {name: np.median(values, axis=1).tolist() for name, values in rows.items()},
+                {name: of_costs(values, axis=1)[1].tolist() for name, values in rows.items()},
                 [thinned(path.x) for path in trials],
                 thinned(last.x),
                 learner.policy,
