@@ -5,7 +5,7 @@
 Publishes the reference of each tick on ~/reference (geometry_msgs/PoseStamped) and ~/velocity (geometry_msgs/TwistStamped),
 for the Cartesian impedance controller of your arm, which keeps the limits of the robot. Listens to ~/pose (PoseStamped,
 measured) for where to begin, and with feedback:=true for where it is. Services: ~/start and ~/stop (std_srvs/Trigger), ~/pause
-(std_srvs/SetBool).
+(std_srvs/SetBool). A motion that was stopped and has come to rest may be started again.
 """
 
 import numpy as np
@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from torchds import Controller
 from torchds.control import Recorder
+from torchds.errors import TorchdsError
 
 COLUMNS = ("x [m]", "y [m]", "z [m]", "rx [rad]", "ry [rad]", "rz [rad]")
 
@@ -64,7 +65,7 @@ class Motion(Node):
             max_acceleration=2.0,
         )
         self.recorder = Recorder(COLUMNS)
-        self.measured, self.began, self.running = None, 0.0, False
+        self.measured, self.began, self.running, self.stopping = None, 0.0, False, False
         self.reference = self.create_publisher(PoseStamped, "~/reference", 1)
         self.velocity = self.create_publisher(TwistStamped, "~/velocity", 1)
         self.create_subscription(PoseStamped, "~/pose", self.look, 1)
@@ -85,22 +86,37 @@ class Motion(Node):
         response.message = "begins" if response.success else "no pose was measured, or it runs already"
         if response.success:
             self.controller.reset(self.measured)
-            self.recorder.length, self.began, self.running = 0, self.now(), True
+            self.recorder.length, self.began, self.running, self.stopping = 0, self.now(), True, False
         return response
 
     def stop(self, request, response):
         """Come to rest on the way, and write what was measured."""
         self.controller.stop()
-        response.success = True
+        self.stopping, response.success = True, True
         if path := self.get_parameter("recording").value:
-            response.message = str(self.recorder.write(path))
+            try:
+                response.message = str(self.recorder.write(path))
+            except TorchdsError as error:
+                response.success, response.message = False, str(error)
         return response
 
     def pause(self, request, response):
         """Slow down to a rest, or go on."""
-        (self.controller.pause if request.data else self.controller.resume)()
-        response.success = True
+        try:
+            (self.controller.pause if request.data else self.controller.resume)()
+            response.success = True
+        except TorchdsError as error:  # it was stopped
+            response.success, response.message = False, str(error)
         return response
+
+    def record(self):
+        """Keep where the robot is, while it moves and there is room."""
+        if not self.get_parameter("recording").value or self.controller.resting:
+            return
+        if self.recorder.length < len(self.recorder.rows):
+            self.recorder.add(self.now() - self.began, self.measured)
+            if self.recorder.length == len(self.recorder.rows):
+                self.get_logger().warning("the recording is full: what follows is not kept")
 
     def now(self):
         """Seconds."""
@@ -113,7 +129,8 @@ class Motion(Node):
         tick = self.controller.step(self.measured) if self.feedback else self.controller.step()
         if tick.late > 0.01:
             self.get_logger().warning(f"a tick came {1e3 * tick.late:.0f} ms late")
-        self.recorder.add(self.now() - self.began, self.measured)
+        self.record()
+        self.running = not (self.stopping and self.controller.resting)
         pose, twist = PoseStamped(), TwistStamped()
         pose.header.stamp = twist.header.stamp = self.get_clock().now().to_msg()
         pose.header.frame_id = twist.header.frame_id = self.get_parameter("frame").value

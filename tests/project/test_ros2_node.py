@@ -45,7 +45,7 @@ class Node:
     create_service = create_timer = create_subscription
 
     def get_logger(self):
-        return types.SimpleNamespace(warning=lambda text: None)
+        return types.SimpleNamespace(warning=self.sent.setdefault("log", []).append)
 
     def get_clock(self):
         stamp = types.SimpleNamespace(nanoseconds=self.time, to_msg=lambda: None)
@@ -118,3 +118,70 @@ def test_it_publishes_the_motion_and_records_it(node, tmp_path, monkeypatch, fee
     made.stop(None, answer)
     lines = (tmp_path / "r.csv").read_text().splitlines()
     assert lines[0] == "time [s],x [m],y [m],z [m],rx [rad],ry [rad],rz [rad]" and len(lines) == 21
+
+
+@pytest.fixture
+def motion(node, tmp_path, monkeypatch):
+    """A node with a motion along x at about 0.1 m/s, and with a pose; the recording has room for five rows."""
+
+    def make(recording=""):
+        eye = torch.eye(6, dtype=torch.float64)[None]
+        forward = torch.tensor([[0.1, 0, 0, 0, 0, 0]], dtype=torch.float64)
+        torchds.GMRPolicy(torch.ones(1), torch.zeros(1, 6), eye, 0 * eye, forward).save(tmp_path / "policy.pt", dt=0.01)
+        monkeypatch.setattr(Node, "given", {"policy": tmp_path / "policy.pt", "recording": recording})
+        made = node["Motion"]()
+        made.recorder.rows = made.recorder.rows[:5]
+        made.measured = np.zeros(6)
+        return made
+
+    return make
+
+
+def asked(service, **request):
+    answer = Anything()
+    service(types.SimpleNamespace(**request), answer)
+    return answer
+
+
+def test_what_was_stopped_begins_again_once_it_rests(motion):
+    made = motion()
+    assert asked(made.start).success
+    for _ in range(10):
+        made.tick()
+    assert asked(made.stop).success and not asked(made.start).success  # it still slows down
+    refused = asked(made.pause, data=False)
+    assert not refused.success and "was stopped has to begin anew" in refused.message
+    for _ in range(200):
+        made.tick()
+    sent = len(made.sent["~/reference"])
+    made.tick()
+    assert len(made.sent["~/reference"]) == sent < 210 and asked(made.start).success
+    made.tick()
+    assert len(made.sent["~/reference"]) == sent + 1 and asked(made.pause, data=True).success
+
+
+def test_it_outlasts_its_recording_and_says_so_once(motion, tmp_path):
+    made = motion(tmp_path / "r.csv")
+    asked(made.start)
+    for _ in range(20):
+        made.tick()
+    full = [text for text in made.sent["log"] if "the recording is full" in text]
+    assert len(made.sent["~/reference"]) == 20 and len(full) == 1
+    made.parameters["recording"] = tmp_path / "nowhere" / "r.csv"
+    refused = asked(made.stop)
+    assert not refused.success and "nowhere" in refused.message
+
+
+@pytest.mark.parametrize(("recording", "pauses"), [(True, False), (True, True), (False, False)])
+def test_only_what_moves_and_is_wanted_is_recorded(motion, tmp_path, recording, pauses):
+    made = motion(tmp_path / "r.csv" if recording else "")
+    asked(made.start)
+    made.tick()
+    if pauses:
+        asked(made.pause, data=True)
+        made.recorder.rows = np.empty((1000, 7))
+        for _ in range(100):
+            made.tick()
+        rest = made.recorder.length
+    made.tick()
+    assert made.recorder.length == (rest if pauses else 2 * recording)
