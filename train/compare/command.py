@@ -166,10 +166,14 @@ class Compare:
             for name in received:
                 if name not in known:
                     raise UnknownNameError(kind, name, known)
-        if self.runs < 1 or self.tuning_runs < 1 or not self.factors or min(self.factors) <= 0 or self.noise_std < 0:
+        if self.runs < 1 or self.tuning_runs < 1 or not self.factors or (self.updates is not None and self.updates < 0):
             raise InvalidArgumentError(
-                f"--runs and --tuning-runs of at least 1, positive --factors and --noise-std ≥ 0 are needed, got {self.runs}, "
-                f"{self.tuning_runs}, {self.factors} and {self.noise_std}"
+                "--runs and --tuning-runs of at least 1, one of --factors and --updates ≥ 0 are needed, got "
+                f"{self.runs}, {self.tuning_runs}, {self.factors} and {self.updates}"
+            )
+        if not all(factor > 0 for factor in self.factors) or not self.noise_std >= 0:
+            raise InvalidArgumentError(
+                f"positive --factors and --noise-std ≥ 0 are needed, got {self.factors} and {self.noise_std}"
             )
 
     def to_json(self) -> dict[str, Any]:

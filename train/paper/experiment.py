@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from torchds.errors import InvalidArgumentError
 from train.folder import Interrupted
-from train.options import check_seed, options_for
+from train.learning.run import check
+from train.options import options_for
 from train.paper.measured.digging import RUNS, Experiment
 
 
@@ -43,14 +43,12 @@ class Digging:
         """Go on until all is there.
 
         Raises:
-            InvalidArgumentError: no runs.
+            InvalidArgumentError: numbers out of range.
             Interrupted: from the keyboard; the same command continues.
         """
-        check_seed(self.seed)
-        if self.runs < 1:
-            raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
         names = ("grains", "seconds", "updates", "rollouts", "threads")
         options = options_for("lwr_digging", **{name: getattr(self, name) for name in names})
+        check(replace(options, runs=self.runs, seed=self.seed))
         folder = self.logdir / "lwr_digging" / f"experiment-{self.seed}"
         experiment = Experiment(folder, self.seed, options, self.runs)
         print(

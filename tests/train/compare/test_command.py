@@ -156,6 +156,8 @@ def test_noise_makes_deterministic_methods_random(tmp_path):
         ({"tasks": ("via_point",)}, UnknownNameError, "unknown problem 'via_point'.*via_point-N"),
         ({"optimizers": ("adm",)}, UnknownNameError, "unknown optimizer 'adm'. Did you mean 'adam'"),
         ({"factors": (0.0,)}, InvalidArgumentError, "positive --factors"),
+        ({"factors": (1.0, float("nan"))}, InvalidArgumentError, "positive --factors"),
+        ({"updates": -3}, InvalidArgumentError, "--updates"),
         ({"runs": 0}, InvalidArgumentError, "--runs"),
         ({"noise_std": -1.0}, InvalidArgumentError, "--noise-std"),
     ],

@@ -9,9 +9,10 @@ from train.paper.experiment import Digging
 from train.paper.measured import digging
 
 
-def test_no_runs_are_refused():
-    with pytest.raises(InvalidArgumentError, match="--runs has to be at least 1, got 0"):
-        Digging(runs=0).main()
+@pytest.mark.parametrize(("name", "low"), [("runs", 1), ("updates", 0), ("rollouts", 1)])
+def test_numbers_out_of_range_are_refused(name, low):
+    with pytest.raises(InvalidArgumentError, match=f"--{name} has to be at least {low}, got {low - 1}"):
+        Digging(**{name: low - 1}).main()
 
 
 @pytest.mark.slow

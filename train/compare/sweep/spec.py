@@ -11,6 +11,7 @@ from tasks.loading import short
 from torchds.errors import FileError, InvalidArgumentError
 from torchds.files import reason
 from train.learning.kept import key
+from train.learning.run import check
 from train.options import UNKEPT, RunOptions, options_class
 
 OF_THE_SWEEP = (*UNKEPT, "logdir")
@@ -80,6 +81,7 @@ def _job(path: Path, parts: tuple[dict[str, Any], ...]) -> Job:
         )
     try:
         options = options_class(task).from_json(values)
+        check(options)
     except InvalidArgumentError as error:
         raise InvalidArgumentError(f"{path}: {error}") from error
     return Job(name(options), options)

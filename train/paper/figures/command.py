@@ -62,9 +62,11 @@ class Figures:
         """Make the figures.
 
         Raises:
-            InvalidArgumentError: a number that is not among the figures.
+            InvalidArgumentError: a number that is not among the figures, or no runs.
         """
         check_seed(self.seed)
+        if self.runs < 1:
+            raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
         known = (*FIGURES, *DIGGING)
         if strangers := sorted(set(self.figure) - set(known)):
             raise InvalidArgumentError(

@@ -23,8 +23,10 @@ def test_it_leaves_tables_costs_and_the_figure(tmp_path, capsys):
     assert (folder / "primitives.png").stat().st_size > 50_000
 
 
-@pytest.mark.parametrize("options", [{"runs": 1}, {"distance": 0.0}, {"seconds": 20.0}])
+@pytest.mark.parametrize("options", [{"runs": 1}, {"distance": 0.0}, {"seconds": 20.0}, {"updates": -1}])
 def test_what_cannot_be_run_is_refused(options, tmp_path):
-    with pytest.raises(InvalidArgumentError, match="--runs of at least 2, a positive --distance"):
+    with pytest.raises(
+        InvalidArgumentError, match=r"--runs of at least 2, a positive --distance|--updates has to be at"
+    ):
         Primitives(**options, logdir=tmp_path).main()
     assert not list(tmp_path.iterdir())

@@ -73,7 +73,9 @@ def test_the_command_makes_the_figures_that_are_asked_for(quick, tmp_path, monke
     assert drawn(tmp_path / "figures", 9) and drawn(tmp_path / "figures", 12)
 
 
-def test_a_number_that_is_no_figure_is_refused_before_anything_is_made(tmp_path):
+def test_numbers_out_of_range_are_refused_before_anything_is_made(tmp_path):
     with pytest.raises(InvalidArgumentError, match=r"^no figure 98, 99; there are 1, 2, 3, 4, 5"):
         Figures(figure=(1, 99, 98), logdir=tmp_path / "new").main()
+    with pytest.raises(InvalidArgumentError, match="--runs has to be at least 1, got 0"):
+        Figures(figure=(1,), runs=0, logdir=tmp_path / "new").main()
     assert not (tmp_path / "new").exists()
