@@ -18,7 +18,7 @@ from train.compare.report import Outcome
 from train.folder import Interrupted, RunFolder, new_folder, versions, write_text
 from train.learning.kept import found, key, learned, made
 from train.learning.learner import Learner
-from train.options import Optimizer, RunOptions, check_seed, options_class, options_for
+from train.options import Optimizer, RunOptions, check_seed, options_class, options_for, required, usual_values
 from train.searchers.named import METHODS, runs_vary
 from train.statistics import of_costs
 
@@ -27,6 +27,8 @@ TUNING_SEED = 1000  # added to the seed of the reported runs
 CoordinateKind = Literal["plain", "trajectory"]
 FREE, STABLE = ("homogeneous", "trajectory"), ("stable", "stable-trajectory")  # the explorations of both kinds
 KNOWN = PROBLEMS | TRANSFER
+IN_PLACES = ("optimizer", "shape", "runs", "updates", "seed", "logdir", "device", "threads")
+"""Options that a row has a place for, or that do not change what is learned."""
 
 
 class Candidate(NamedTuple):
@@ -79,7 +81,8 @@ class Compare:
     add: tuple[Path, ...] = ()
     """Folders of finished runs to list too, of whatever command; here PPO and SAC come in."""
     suite: Literal["docs"] | None = None
-    """Make all tables of the documentation, with these --runs, --seed, --factors and --updates; their rows are given."""
+    """Make all tables of the documentation, with these --runs, --seed, --factors, --tuning-runs and --updates; their rows
+    are given."""
     keep: Path | None = None
     """With --suite: the folder whose pages get the tables."""
     logdir: Path = field(default_factory=lambda: Path("logs"))
@@ -123,12 +126,14 @@ class Compare:
                 one = replace(self, suite=None, noise_std=part.noise, factors=factors)
                 candidates = [Candidate(problem, *method) for problem in part.problems for method in part.methods]
                 rows = one.rows(candidates, named(candidates), bar)
-                folders = [suite.deep(self.logdir, name, self.updates) for name in part.environments]
+                folders = [suite.deep(self.logdir, name, self.updates, self.seed) for name in part.environments]
                 records = [RunFolder(folder).results() for folder in folders]
                 others = [added(record, named((), records)) for record in records]
                 made.append(suite.Made(part, [*rows, *others]))
-        said = "" if self.updates is None else f" --updates {self.updates}"
-        command = f"python -m train compare --suite docs --runs {self.runs} --seed {self.seed}{said}"
+        usual = {"updates": None, "factors": Compare.factors, "tuning_runs": Compare.tuning_runs}
+        given = [name for name, value in usual.items() if getattr(self, name) != value]
+        said = [f"--{name.replace('_', '-')} {words(getattr(self, name))}" for name in ("runs", "seed", *given)]
+        command = " ".join(["python -m train compare --suite docs", *said])
         tables = suite.tables(made, command)
         folder = new_folder(self.logdir / "compare")
         text = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
@@ -253,9 +258,32 @@ class Compare:
             return learned(folder, learner, show)
 
 
+def words(value: Any) -> str:
+    """A value as it is given to an option."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
 def added(record: Mapping[str, Any], names: Mapping[str, str]) -> Outcome:
-    """A row from the results.json of another run, by what tables call its parts."""
+    """A row from the results.json of another run, by what tables call its parts, and by its options that are not as usual."""
     shape, optimizer = record["options"].get("shape"), record["options"]["optimizer"]
+    own, others = unusual(record)
     problem = names[record["task"]] if shape is None else f"{names[record['task']]}-{shape}"
     gradient = optimizer in METHODS and METHODS[optimizer].gradient
-    return Outcome(problem, f"{names[optimizer]}, added", dict(record), gradient=gradient)
+    label = f"{' '.join([names[optimizer], *others])}, added"
+    return Outcome(" ".join([problem, *own]), label, dict(record), gradient=gradient)
+
+
+def unusual(record: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The options of a run that are not as usual, as words: those of its problem, and those of what learned it."""
+    try:
+        options = options_for(record["task"], **dict.fromkeys(required(options_class(record["task"]))))
+    except TorchdsError:  # its file is not there any more
+        return [], []
+    usual, of_the_task = usual_values(options), options.task_options()
+    own: list[str] = []
+    others: list[str] = []
+    for name in options.to_json().keys() - set(IN_PLACES):
+        value = record["options"].get(name, usual.get(name))
+        if value != usual.get(name):
+            (own if name in of_the_task else others).append(f"{name}={value}".replace(",", ""))
+    return sorted(own), sorted(others)

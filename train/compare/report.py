@@ -180,7 +180,7 @@ def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, s
         else ""
     )
     tuned = ""
-    if "factors" in options:
+    if len(options.get("factors", ())) > 1:
         factors = ", ".join(f"{factor:.2g}" for factor in options["factors"])
         tuned = TUNED.format(factors=factors, tuning_runs=options["tuning_runs"]) + " "
     parts = [
@@ -199,7 +199,7 @@ def page(rows: Sequence[Outcome], options: dict[str, Any], versions: dict[str, s
     for problem, members in by_problem(rows).items():
         parts += [f"## {problem}", table(members)]
     parts += ["![Learning curves](curves.png)"]
-    if tuned:
+    if "factors" in options:
         parts += ["## Tuning", choices(rows)]
     parts += ["## Made by", ", ".join(f"{name} {value}" for name, value in {**options, **versions}.items())]
     return "\n\n".join(parts) + "\n"

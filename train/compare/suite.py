@@ -66,12 +66,12 @@ class Made(NamedTuple):
     rows: Sequence[Outcome]
 
 
-def deep(logdir: Path, environment: Environment, updates: int | None) -> Path:
-    """The folder of three runs of PPO at the budget of the others, which are made if they are not there."""
+def deep(logdir: Path, environment: Environment, updates: int | None, seed: int) -> Path:
+    """The folder of three runs of PPO at the budget of the others, from this seed on, which are made if they are not there."""
     budget = options_of(ENVIRONMENTS[environment][0]).search.n_updates if updates is None else updates
     logdir = logdir / "compare" / "deep_rl" / f"{environment}-{budget}"
-    finished = sorted(logdir.glob(f"*/*/*/{RESULTS}"))
-    return finished[-1].parent if finished else DeepRL(environment, updates=updates, logdir=logdir).main()
+    finished = sorted(logdir.glob(f"*/*/*-{seed}/{RESULTS}"))
+    return finished[-1].parent if finished else DeepRL(environment, seed=seed, updates=updates, logdir=logdir).main()
 
 
 def end(row: Outcome) -> str:

@@ -132,10 +132,15 @@ def test_what_a_task_refuses_is_said_and_not_a_failure(task, tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_other_runs_can_be_added(finished, tmp_path):
-    other = next((finished.parent / "runs" / "via_point").glob("cobyqa-*"))
+    others = (finished.parent / "runs" / "via_point").glob("cobyqa-*")
+    said = {each: json.loads((each / "options.json").read_text())["options"] for each in others}
+    (other,) = (each for each in said if (said[each]["scale"], said[each]["exploration"]) == (0.1, "trajectory"))
     small = {**SMALL, "optimizers": ("pibb",), "coordinates": ("plain",), "factors": (1.0,), "updates": 1}
     folder = Compare(**small, add=(other,), logdir=tmp_path).main()
-    assert [row["optimizer"] for row in read(folder / "table.csv")] == ["pibb", "cobyqa, added"]
+    assert [row["optimizer"] for row in read(folder / "table.csv")] == [
+        "pibb",
+        "cobyqa exploration=trajectory scale=0.1, added",
+    ]
     with pytest.raises(InvalidArgumentError, match=r"--add nowhere: no results\.json there"):
         Compare(**small, add=(tmp_path.__class__("nowhere"),), logdir=tmp_path).main()
 
@@ -198,6 +203,26 @@ def test_a_factor_is_judged_by_the_median_that_the_report_shows(costs, choice, m
     monkeypatch.setattr(Compare, "learned", lambda *_: {"cost": [costs]})
     monkeypatch.setattr(Compare, "random", lambda *_: True)
     assert Compare().final(Candidate("via_point-N", "pibb", "plain"), 1.0, None) == choice
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "problem", "label"),
+    [
+        ("via_point", {"shape": "P", "scale": 3, "updates": 7}, "via_point-P", "pibb scale=3, added"),
+        ("via_point", {"shape": "N", "convention": "released"}, "via_point-N convention=released", "pibb, added"),
+        (
+            "divergent_field",
+            {"execution": "closed", "pushes": 0.5, "decay": "none", "rollouts": 20},
+            "divergent_field execution=closed pushes=0.5",
+            "pibb decay=none rollouts=20, added",
+        ),
+        ("via_point", {"shape": "N", "optimizer": "ppo", "environment": "ViaPointN"}, "via_point-N", "ppo, added"),
+    ],
+)
+def test_what_is_added_says_what_is_not_as_usual(task, options, problem, label):
+    record = {"task": task, "options": {"optimizer": "pibb", **options}}
+    row = added(record, named((), [record]))
+    assert (row.problem, row.label) == (problem, label)
 
 
 def test_places_of_one_short_name_have_rows_and_problems_of_their_own(tmp_path, monkeypatch):

@@ -152,6 +152,10 @@ def test_the_page_has_every_problem_and_says_where_costs_are_noisy():
     assert text.index("## p\n") < text.index("## q\n") < text.index("## Tuning")
     assert "torch 9.9" in text and "normal noise" not in text
     assert "normal noise of 0.3 times" in page(rows, OPTIONS | {"noise_std": 0.3}, {})
+    assert "was tuned by one factor over the grid 0.1, 1," in text
+    once = page(rows, OPTIONS | {"factors": (1.0,)}, {})
+    assert "tuned" not in once and once.index("## Tuning") < once.index("No tuning: one factor was given.")
+    assert "## Tuning" not in page(rows, {"sweep": "mine.toml"}, {})
 
 
 @pytest.mark.slow

@@ -92,9 +92,11 @@ def test_one_command_makes_the_tables_of_real_runs(tmp_path, monkeypatch, capsys
     docs = tmp_path / "docs"
     docs.mkdir()
     (docs / "page.md").write_text("".join(f"<!-- suite: {name} -->\n<!-- suite end -->\n" for name in suite.TABLES))
-    folder = Compare(suite="docs", keep=docs, runs=3, updates=2, factors=(1.0,), logdir=tmp_path / "logs").main()
+    small = {"runs": 3, "updates": 2, "factors": (1.0,), "tuning_runs": 4, "logdir": tmp_path / "logs"}
+    folder = Compare(suite="docs", keep=docs, **small).main()
     text = (folder / "suite.md").read_text()
-    assert text.count("python -m train compare --suite docs --runs 3 --seed 0 --updates 2") == len(suite.TABLES)
+    command_line = "`python -m train compare --suite docs --runs 3 --seed 0 --updates 2 --factors 1.0 --tuning-runs 4`"
+    assert text.count(command_line) == len(suite.TABLES)
     assert all(table in (docs / "page.md").read_text() for table in text.split("\n\n") if table.startswith("| "))
     assert (
         len(list((tmp_path / "logs" / "compare" / "runs" / "via_point").iterdir())) == 4
@@ -112,8 +114,8 @@ def test_the_pages_have_a_place_for_every_table():
 
 def test_agents_that_are_there_are_not_learned_again(tmp_path, monkeypatch):
     class Agent:
-        def __init__(self, environment, updates, logdir):
-            self.folder = logdir / "via_point" / "ppo" / "now-0"
+        def __init__(self, environment, seed, updates, logdir):
+            self.folder = logdir / "via_point" / "ppo" / f"now-{seed}"
 
         def main(self):
             self.folder.mkdir(parents=True)
@@ -121,11 +123,12 @@ def test_agents_that_are_there_are_not_learned_again(tmp_path, monkeypatch):
             return self.folder
 
     monkeypatch.setattr(suite, "DeepRL", Agent)
-    first = suite.deep(tmp_path, "ViaPointN", 3)
+    first = suite.deep(tmp_path, "ViaPointN", 3, 0)
     monkeypatch.setattr(suite, "DeepRL", None)
-    assert suite.deep(tmp_path, "ViaPointN", 3) == first
-    with pytest.raises(TypeError):  # nothing of another budget is there
-        suite.deep(tmp_path, "ViaPointN", 4)
+    assert suite.deep(tmp_path, "ViaPointN", 3, 0) == first
+    for other in ((4, 0), (3, 10)):
+        with pytest.raises(TypeError):  # nothing of another budget or another seed is there
+            suite.deep(tmp_path, "ViaPointN", *other)
     monkeypatch.setattr(suite, "DeepRL", Agent)
-    own = suite.deep(tmp_path, "ViaPointN", None)
-    assert own != first and own == suite.deep(tmp_path, "ViaPointN", 50)
+    own = suite.deep(tmp_path, "ViaPointN", None, 0)
+    assert own != first and own == suite.deep(tmp_path, "ViaPointN", 50, 0)
