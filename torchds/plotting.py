@@ -44,9 +44,15 @@ TERMS = ("#1f5fa8", "#e69f00", "#2a9d5c", "#cc79a7", "#4bb3e8", "#8a3a1a")
 
 
 def limits(*tracks: Array, margin: float = 0.12, dims: int = 2) -> tuple[tuple[float, float], ...]:
-    """Axis limits around all finite points of tracks `(..., D)` in their first `dims` dimensions, with a relative margin."""
-    points = torch.cat([real("tracks", t, "(..., D)").detach().double()[..., :dims].reshape(-1, dims) for t in tracks])
+    """Axis limits around all finite points of tracks `(..., D)` in their first `dims` dimensions, with a relative margin.
+
+    Where no point is finite, they are 0 and 1.
+    """
+    seen = (real("tracks", t, "(..., D)").detach().cpu().double() for t in tracks)
+    points = torch.cat([x[..., :dims].reshape(-1, dims) for x in seen])
     points = points[points.isfinite().all(-1)]
+    if not len(points):
+        return ((0.0, 1.0),) * dims
     low, high = points.amin(0), points.amax(0)
     pad = margin * (high - low).clamp_min(1e-9).max()
     return tuple(zip((low - pad).tolist(), (high + pad).tolist(), strict=True))
@@ -72,15 +78,21 @@ def check_plane(axes: Axes, what: str) -> None:
         )
 
 
+def check_single(what: str, batch_shape: Sequence[int]) -> None:
+    """Refuse a batch of policies where one is drawn."""
+    if batch_shape:
+        raise InvalidArgumentError(
+            f"{what} is that of one policy, got a batch {tuple(batch_shape)}; give one of it, policy[0]"
+        )
+
+
 def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
     """The velocity of a 2-D policy as streamlines over the axes' present limits (Fig. 1).
 
     Raises:
-        InvalidArgumentError: 3-D axes, or a policy of another number of inputs.
+        InvalidArgumentError: 3-D axes, a policy of another number of inputs, or a batch of them.
     """
     check_plane(axes, "a field")
-    if policy.input_dim != 2:
-        raise InvalidArgumentError(f"the field of a policy of two inputs can be drawn, got one of {policy.input_dim}")
     grid, v = velocities(policy, axes.get_xlim(), axes.get_ylim(), resolution, resolution)
     xs, ys = grid[0, :, 0], grid[:, 0, 1]
     axes.streamplot(xs, ys, v[..., 0], v[..., 1], color=FIELD, linewidth=0.7, arrowsize=0.7, density=1.1, zorder=1)
@@ -89,7 +101,14 @@ def field(axes: Axes, policy: GMRPolicy, *, resolution: int = 40) -> None:
 def velocities(
     policy: GMRPolicy, xlim: tuple[float, float], ylim: tuple[float, float], nx: int, ny: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The field of a 2-D policy on a grid: points and velocities, each `(ny, nx, 2)`."""
+    """The field of a 2-D policy on a grid: points and velocities, each `(ny, nx, 2)`.
+
+    Raises:
+        InvalidArgumentError: a policy of another number of inputs, or a batch of them.
+    """
+    if policy.input_dim != 2:
+        raise InvalidArgumentError(f"the field of a policy of two inputs can be drawn, got one of {policy.input_dim}")
+    check_single("a field", policy.batch_shape)
     grid = np.stack(np.meshgrid(np.linspace(*xlim, nx), np.linspace(*ylim, ny)), -1)
     with torch.no_grad():
         v = policy(torch.as_tensor(grid, dtype=policy.means.dtype, device=policy.means.device)).cpu().numpy()
@@ -100,7 +119,7 @@ def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (
     """The gating's Gaussians as ellipses of one standard deviation in the first two inputs.
 
     Raises:
-        InvalidArgumentError: 3-D axes, or a policy of one input.
+        InvalidArgumentError: 3-D axes, a policy of one input, or a batch of policies that each have their own.
     """
     check_plane(axes, "Gaussians")
     shown(axes, "Gaussians", policy.means)
@@ -111,7 +130,12 @@ def gaussians(axes: Axes, policy: GMRPolicy, *, label: str | None = "Gaussians (
 
 
 def outlines(policy: GMRPolicy, n: int = 72) -> np.ndarray:
-    """The ellipses of one standard deviation of the gating's Gaussians, `(K, n, 2)` points in the first two inputs."""
+    """The ellipses of one standard deviation of the gating's Gaussians, `(K, n, 2)` points in the first two inputs.
+
+    Raises:
+        InvalidArgumentError: a batch of policies that each have their own.
+    """
+    check_single("a gating", policy.means.shape[:-2])
     turn = torch.linspace(0.0, 2 * math.pi, n + 1)[:-1]
     circle = torch.stack([turn.cos(), turn.sin()], -1).to(policy.means)
     roots = torch.linalg.cholesky(policy.covariances[:, :2, :2])
@@ -157,15 +181,16 @@ def crossed(i: int) -> Outline:
 
 
 class PlainNumbers(Formatter):
-    """0.01, 0.1, 1, 10 on an axis of logarithms, and 2 and 5 between them where less than two decades are seen."""
+    """0.01, 0.1, 1, 10 on an axis of logarithms, with 2 and 5 where less than two decades are seen, or else all ticks."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         """The label of a tick."""
         low, high = sorted(self.axis.get_view_interval())  # type: ignore[union-attr]
-        first = round(x / 10 ** np.floor(np.log10(x) + 1e-9), 6)
-        if first not in ((1.0, 2.0, 5.0) if high < 100 * low else (1.0,)):
+        decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.log10(high) + 1)
+        usual = np.outer(decades, (1, 2, 5) if high < 100 * low else (1,))
+        if ((low <= usual) & (usual <= high)).sum() > 1 and not np.isclose(usual, x, atol=0).any():
             return ""
-        return np.format_float_positional(float(f"{x:.3g}"), trim="-") if 1e-6 < x < 1e6 else f"{x:g}"
+        return np.format_float_positional(float(f"{x:.6g}"), trim="-") if 1e-6 < x < 1e6 else f"{x:g}"
 
 
 def log_scale(axes: Axes, which: str = "y") -> None:

@@ -29,6 +29,7 @@ def test_limits_hold_all_finite_points_with_a_margin():
     a, b = torch.tensor([[0.0, 1.0], [4.0, torch.nan]]), torch.tensor([[[1.0, 3.0]], [[-1.0, 2.0]]], requires_grad=True)
     (x0, x1), (y0, y1) = plotting.limits(a, b, margin=0.5)
     assert (x0, x1, y0, y1) == (-2.0, 2.0, 0.0, 4.0)  # the box [-1, 1] x [1, 3], half of its longer side added
+    assert plotting.limits(torch.full((3, 2), torch.nan)) == ((0, 1), (0, 1))
     (x0, x1), _ = plotting.limits(torch.ones(3, 2))
     assert x0 < 1 < x1
 
@@ -77,7 +78,8 @@ def test_frames_are_even_along_the_way_also_where_a_motion_slows_down(space):
     np.testing.assert_allclose(at, [1, 0.75, 0.5, 0.25, 0], atol=0.005)
 
 
-def test_what_cannot_be_drawn_is_refused(axes, space, random_policy):
+def test_what_cannot_be_drawn_is_refused(axes, space, random_policy, random_mixture):
+    own = GMRPolicy.from_mixture(random_mixture(batch=(2,)), 2)
     for call, words in (
         (lambda: plotting.field(space, random_policy()), "a field can be drawn in a plane only, got 3-D axes"),
         (lambda: plotting.gaussians(space, random_policy()), "Gaussians can be drawn in a plane only"),
@@ -87,6 +89,11 @@ def test_what_cannot_be_drawn_is_refused(axes, space, random_policy):
             lambda: plotting.gaussians(axes, random_policy(D=1, O=1)),
             "Gaussians of 1 dimensions cannot be drawn into axes of 2",
         ),
+        (
+            lambda: plotting.field(axes, random_policy(batch=(3,))),
+            r"that of one policy, got a batch \(3,\); give one of it",
+        ),
+        (lambda: plotting.gaussians(axes, own), r"a gating is that of one policy, got a batch \(2,\)"),
         (lambda: plotting.trajectories(space, torch.zeros(4, 2), color="k", label=""), "of 2 dimensions .* axes of 3"),
         (lambda: plotting.frames(axes, torch.zeros(4, 6), torch.ones(4), size=1.0), "frames need 3-D axes and states"),
     ):
@@ -176,6 +183,12 @@ def outline(line):
         ((0.3, 6), ["0.5", "1", "2", "5"]),
         ((15, 60), ["20", "50"]),
         ((2e-9, 2e-5), ["1e-08", "1e-07", "1e-06", "0.00001"]),
+        ((2.1, 4.8), ["3", "4"]),
+        ((10.5, 19), [f"{n}" for n in range(11, 20)]),
+        ((1.05, 1.95), [f"1.{n}" for n in range(1, 10)]),
+        ((0.21, 0.48), ["0.3", "0.4"]),
+        ((5.3, 9.7), ["6", "7", "8", "9"]),
+        ((3.001, 3.002), ["3.001", "3.0012", "3.0014", "3.0016", "3.0018", "3.002"]),
     ],
 )
 @pytest.mark.parametrize("which", ["x", "y"])
