@@ -69,17 +69,23 @@ def of_arm(times: np.ndarray, qpos: np.ndarray, tool: np.ndarray, wanted: np.nda
 
 @torch.no_grad()
 def of_motion(task: Task, policies: Mapping[str, GMRPolicy]) -> list[Take]:
-    """The motions of policies of any task, from each of its starts; those in a plane lie on the floor."""
+    """The motions of policies of any task, from each of its starts; those in a plane lie on the floor.
+
+    Where a plant tracks them, what it did is the motion, beside its reference.
+    """
     dt, takes = task.motion().dt, []
     for name, policy in policies.items():
         path: Rollout = task.rollout(policy)
-        motions = _single(path.reference)
-        speed = path.v.reshape(len(motions), *path.v.shape[-2:]).norm(dim=-1)
-        every = torch.linspace(0, motions.shape[1] - 1, min(MOMENTS, motions.shape[1])).round().long()
-        for i, x in enumerate(motions):
-            steps = every.clamp(max=speed.shape[-1] - 1)
-            series = {"speed": speed[i, steps].numpy()}
-            takes.append(Take(name, f"start {i + 1}", dt * every.numpy(), None, {"motion": _flat(x[every])}, series))
+        tracks = {"motion": path.x} if path.plant is None else {"reference": path.reference, "motion": path.x}
+        motions = {what: _single(x) for what, x in tracks.items()}
+        speed = _single(path.v).norm(dim=-1)
+        every = torch.linspace(0, speed.shape[-1], min(MOMENTS, speed.shape[-1] + 1)).round().long()
+        steps = every.clamp(max=speed.shape[-1] - 1)
+        for i in range(len(speed)):
+            paths = {what: _flat(x[i, every]) for what, x in motions.items()}
+            takes.append(
+                Take(name, f"start {i + 1}", dt * every.numpy(), None, paths, {"speed": speed[i, steps].numpy()})
+            )
     return takes
 
 

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import tasks
+from tests.tasks.sketch.drawn import FULL
 from train.view.takes import of_digging, of_motion
 
 
@@ -20,6 +21,18 @@ def test_a_motion_in_the_plane_lies_on_the_floor_and_has_a_take_for_each_start()
         assert np.all(take.paths["motion"][:, 2] == 0.0)
         np.testing.assert_allclose(take.paths["motion"][[0, -1], :2], x[[0, -1]])
         assert take.qpos is None and len(take.times) == len(take.series["speed"]) == len(take.paths["motion"])
+
+
+def test_what_the_plant_did_is_the_motion_beside_its_reference(tmp_path):
+    FULL.write(tmp_path / "a.json")
+    task = tasks.make(str(tmp_path / "a.json"))
+    (take,) = of_motion(task, {"before": task.policy()})
+    path = task.rollout(task.policy())
+    for name, x in (("reference", path.reference), ("motion", path.x)):
+        np.testing.assert_allclose(take.paths[name][[0, -1], :2], x.detach().reshape(-1, 2)[[0, -1]], atol=1e-12)
+    assert np.abs(take.paths["motion"] - take.paths["reference"]).max() > 0.01
+    way = np.linalg.norm(np.diff(take.paths["motion"], axis=0), axis=-1)
+    np.testing.assert_allclose(take.series["speed"][:-1] * np.diff(take.times), way, rtol=0.3, atol=0.01)
 
 
 @pytest.mark.slow
