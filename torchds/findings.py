@@ -171,6 +171,10 @@ def _jumps(i: int, recording: Recording, names: Sequence[str]) -> Iterator[Findi
 
 def _rests(i: int, recording: Recording, names: Sequence[str]) -> Iterator[Finding]:
     T = len(recording.x)
+    if extent(recording.x) == 0:
+        yield Finding(
+            "rest", i, None, T, f"it never moves: {T} samples of one place", "demos[1:], or a slice that leaves it out"
+        )
     for where, count in zip(("beginning", "end"), resting(recording.x), strict=True):
         if count > max(RESTING * T, 4) and count < T:
             row = count - 1 if where == "beginning" else T - count

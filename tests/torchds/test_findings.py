@@ -98,6 +98,13 @@ def test_rests_are_counted_at_both_ends():
     assert 100 <= begin < 130 and 100 <= end < 130
 
 
+def test_a_motion_that_never_moves_is_a_rest_as_a_whole():
+    x, v = reach()
+    found = only(named(Recording(x, v, DT), Recording(x[-1:].expand(50, -1), None, DT)), "rest")
+    assert (found.demonstration, found.row, found.value) == (1, None, 50)
+    assert "it never moves: 50 samples of one place [rest]. Call demos[1:], or a slice that leaves it out" in str(found)
+
+
 def test_a_unit_quaternion_among_the_columns_is_recognised():
     angle = torch.linspace(0, 1, 50, dtype=torch.float64)
     zero = torch.zeros_like(angle)
