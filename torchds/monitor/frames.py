@@ -86,7 +86,9 @@ def _records(path: Path) -> Iterator[bytes]:
 
     def checked(begin: int, end: int) -> bytes:
         if struct.unpack_from("<I", content, end)[0] != masked_crc32c(content[begin:end]):
-            raise FileError(f"{path} is damaged at byte {begin}; take a copy of it, or make the run again")
+            raise FileError(
+                f"{path} is damaged: its content at byte {begin} does not have the checksum that was written with it"
+            )
         return content[begin:end]
 
     while at + 12 <= len(content):
