@@ -17,7 +17,6 @@ BEGIN = """\
 # Run it with the Python that has torchds: python this_file.py
 
 import sys
-from statistics import median
 
 import torch
 
@@ -26,6 +25,7 @@ sys.path.insert(0, {checkout!r})  # the checkout of torchds, for the packages ta
 from train.learning.learner import Learner
 from train.learning.run import distinct
 from train.options import options_for
+from train.statistics import of_costs
 
 torch.set_num_threads(1)  # tensors are small: a second thread costs more than it gives
 
@@ -79,7 +79,8 @@ learner = Learner(distinct(options, task), task)
 learner.start()
 while learner.done < learner.n_updates:
     learner.update()
-    print(f"update {{learner.done}} of {{learner.n_updates}}: median cost {{median(learner.history.cost[-1]):.6g}}")
+    _, median, _ = of_costs(learner.history.cost[-1])
+    print(f"update {{learner.done}} of {{learner.n_updates}}: median cost {{median:.6g}}")
 
 # 7. One file for the policies of all runs, and what belongs to them; torchds.load_policy({saved!r}) reads it.
 learner.policy.save({saved!r}, **task.about(learner.policy))
