@@ -74,7 +74,7 @@ def draw(
         dt: time step [s].
         sensor: standard deviation of the measured position in each axis [position unit].
         push: standard deviation of the force in each axis [N].
-        duration: of the push [s].
+        duration: of the push [s], one time step at least.
         generator: of the random numbers; None for torch's own.
         dtype: of the tensors.
 
@@ -92,5 +92,5 @@ def draw(
     force = push * sharing.drawn((*lead, 1, D), normal)
     begin = sharing.drawn((*lead, 1, 1), uniform) * n_steps
     since = torch.arange(n_steps, dtype=dtype).unsqueeze(-1) - begin.floor()  # steps since the push began, (..., T, 1)
-    pushed = (since >= 0) & (since < round(duration / dt))
+    pushed = (since >= 0) & (since < max(1, round(duration / dt)))
     return Disturbance(wrong[..., 1:, :], wrong.diff(dim=-2) / dt, force.where(pushed, 0.0))

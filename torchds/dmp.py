@@ -138,9 +138,10 @@ class DMP(GMRPolicy):
         return (self.gating(s).unsqueeze(-1) * F.pad(s, (0, 1)).unsqueeze(-2)).flatten(-2)
 
     def feature_gating(self, features: Tensor) -> Tensor:
-        """ψ_k / Σ ψ of each of the features."""
+        """ψ_k / Σ ψ of each of the features; zero where these are zero, as those of a roll-out that failed."""
         active = features[..., ::2]
-        return (active / active.sum(-1, keepdim=True)).repeat_interleave(2, -1)
+        total = active.sum(-1, keepdim=True)
+        return (active / total.where(total > 0, 1.0)).repeat_interleave(2, -1)
 
     # ------------------------------------------------------------------ motion
 

@@ -38,6 +38,7 @@ def test_what_is_drawn_has_the_sizes_that_were_asked_for():
     assert lasts.max() == round(0.5 / DT) and lasts.min() >= 1  # shorter where the motion ends before
     begins = (drawn.force != 0).all(-1).double().argmax(-1)
     assert torch.bincount(begins, minlength=T).min() > 4000 / T / 2  # at any time
+    assert ((chance(50, 2, duration=0.1 * DT).force != 0).all(-1).sum(-1) == 1).all()
 
 
 def test_a_mass_is_controlled_by_what_is_measured(random_policy, randn):

@@ -13,7 +13,7 @@ from torchds.costs import control_cost
 from torchds.dmp import ALPHA_S, ALPHA_Z, DMP
 from torchds.errors import InvalidArgumentError
 from torchds.exploration import Gaussian
-from torchds.optim import PIBB
+from torchds.optim import PI2, PIBB
 
 GOAL = torch.tensor([1.0, -2.0], dtype=torch.float64)
 
@@ -161,6 +161,25 @@ def test_a_search_moves_the_weights_and_not_the_offsets(primitive):
     ]
     assert costs[-1] < 0.5 * costs[0]
     assert torch.equal(primitive.b, before["b"]) and not torch.equal(primitive.A, before["A"])
+
+
+def test_a_roll_out_that_failed_has_no_part_in_the_time_average(primitive):
+    """As if the others had been all."""
+
+    other, normals = copy.deepcopy(primitive), torch.randn(4, *primitive.A.shape, dtype=torch.float64)
+    optim = PI2([primitive.A], exploration=Gaussian(1.0), n_rollouts=4)
+    optim.ask([[normals]])
+    with visits.listen() as seen:
+        tried = copy.deepcopy(primitive)
+        tried.A.data = primitive.A + normals
+        costs = tried.rollout(torch.zeros(2), 20, 0.1).x[..., 1:, :].square().sum(-1)
+    costs[0] = torch.nan
+    visited = [visits.Visit(primitive, seen[0].features)]
+    optim.tell(costs, visited)
+    alone = PI2([other.A], exploration=Gaussian(1.0), n_rollouts=3)
+    alone.ask([[normals[1:]]])
+    alone.tell(costs[1:], [visits.Visit(other, seen[0].features[1:])])
+    torch.testing.assert_close(primitive.A, other.A, rtol=1e-12, atol=1e-12)
 
 
 def test_it_is_a_policy_of_its_parameters(primitive):

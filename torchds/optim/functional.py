@@ -29,7 +29,8 @@ def cost_weights(costs: Array, eliteness: float = 10.0, temperature: Temperature
 
             * "range": max − min, the paper.
             * "median": median − min, less sensitive to one bad roll-out.
-            * "capped": max − min after the costs were capped at min + 3 (median − min).
+            * "capped": max − min after the costs were capped at min + 3 (median − min). Where more than half are the cheapest,
+              the others weigh e^{−h} times as much, as in the limit.
 
     Returns:
         `(N, ...)`, summing to one over axis 0, or all zero where every roll-out failed. Without any spread the cheapest

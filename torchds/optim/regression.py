@@ -107,12 +107,14 @@ def _typical(squares: Tensor) -> Tensor:
 
 
 def _above(costs: Tensor, noisy: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Costs `(M, *batch)` over that of a good policy, capped, and what that one costs."""
+    """Costs `(M, *batch)` over that of a good policy, capped, and what that one costs; zeros where all failed."""
     failed = failures(costs)
     valid = costs.masked_fill(failed, torch.nan)
     low, median, cap = costs.masked_fill(failed, torch.inf).amin(0), quantile(valid, 0.5), torch.tensor(CAP)
     if noisy is not None:
         low, cap = torch.where(noisy, quantile(valid, GOOD), low), torch.where(noisy, NOISY_CAP, CAP)
+    known = ~failed.all(0)
+    low, median = low.where(known, 0.0), median.where(known, 0.0)
     return torch.minimum((costs - low).masked_fill(failed, torch.inf), cap.to(low) * (median - low)), low
 
 

@@ -256,9 +256,11 @@ class SurrogatePIBB(PIBB):
         """Remember what was tried, find out how noisy costs `(N, *batch)` are, and weigh by predictions where they are."""
         tried = [[self.state[p]["noise"] for p in group["params"]] for group in self.param_groups]
         if (predicted := self._predicted) is not None:
-            error = (predicted - cost)[2:]  # of those that were chosen by it
-            self._said["surrogate/predicted_cost"] = float(predicted[2:].mean())
-            self._said["surrogate/error"] = float(error[~failures(error)].square().mean().sqrt())
+            others = 0 if self.elite == "none" else 2  # in place of those that were chosen by it
+            if len(predicted) > others:
+                error = (predicted - cost)[others:]
+                self._said["surrogate/predicted_cost"] = float(predicted[others:].mean())
+                self._said["surrogate/error"] = float(error[~failures(error)].square().mean().sqrt())
             self._predicted = None
         for p in self.parameters:
             self._keep(p, "tried", p + self.state[p]["noise"])

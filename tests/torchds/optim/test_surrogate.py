@@ -254,6 +254,28 @@ def test_failed_updates_leave_no_trace():
     optim.step(closure)
 
 
+@pytest.mark.parametrize("elite", ["none", "nominal"])
+def test_a_run_that_fails_altogether_at_first_stays_and_learns_later(elite):
+    (optim, closure), (other, closure_of_other) = (make((2,), elite=elite) for _ in range(2))
+    before = theta(optim)
+    optim.step(lambda: torch.stack([torch.full((8,), torch.nan), closure()[:, 1]], -1))
+    other.step(closure_of_other)
+    assert torch.equal(theta(optim)[0], before[0]) and torch.equal(theta(optim)[1], theta(other)[1])
+    for _ in range(40):
+        optim.step(closure)
+    assert (closure() < 0.1 * (before - TARGET).square().sum(-1)).all()
+    assert all(map(np.isfinite, optim.scalars().values()))
+
+
+@pytest.mark.parametrize(("elite", "told"), [("none", True), ("nominal", False)])
+def test_of_two_roll_outs_those_that_were_chosen_tell_how_good_the_prediction_was(elite, told):
+    optim, closure = make(elite=elite, n_rollouts=2)
+    for _ in range(3):
+        optim.step(closure)
+    found = optim.scalars()
+    assert ("surrogate/error" in found) == told and all(map(np.isfinite, found.values()))
+
+
 @pytest.mark.parametrize("way", ["state_dict", "pickle", "deepcopy"])
 def test_it_resumes_bit_for_bit(way):
     optim, closure = make((2,), memory=20)
