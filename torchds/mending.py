@@ -158,11 +158,7 @@ class Mending(Preparation):
 
         unwrapped = self._map(change)
         jumped = [(a, b) for a, b in zip(self, unwrapped, strict=True) if not torch.equal(a.x, b.x)]
-        return unwrapped.differentiate() if jumped and self._derived() else unwrapped
-
-    def _derived(self) -> bool:
-        """Whether all velocities are what the positions give, so that they are taken anew when these change."""
-        return all(torch.equal(d.v, e.v) for d, e in zip(self, self.differentiate(), strict=True))
+        return unwrapped.differentiate() if jumped and self.differentiated else unwrapped
 
     def split(self, rows: Sequence[int] | None = None) -> Self:
         """Each demonstration cut into several, after the given rows or where it jumps; parts of one sample are dropped.
@@ -185,7 +181,7 @@ class Mending(Preparation):
         if len(parts) == len(self):
             raise InvalidArgumentError("no demonstration has a jump to be split at; give the rows to split after")
         cut = self._of(parts, self.names, self.units)
-        return cut.differentiate() if self._derived() else cut
+        return cut.differentiate() if self.differentiated else cut
 
 
 class Resampled(NamedTuple):

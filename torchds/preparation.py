@@ -144,6 +144,16 @@ class Preparation(Sequence[Demonstration]):
         """Velocities taken anew from the positions: central differences, second order at both ends too."""
         return self._map(lambda d: d._replace(v=gradient(d.x, d.dt)))
 
+    @property
+    def differentiated(self) -> bool:
+        """Whether all velocities are those of `differentiate`, but for round-off, so that positions alone were recorded."""
+
+        def alike(d: Demonstration) -> bool:
+            size = float(d.x.abs().max()) * torch.finfo(d.x.dtype).eps / d.dt  # how finely differences can be told
+            return torch.allclose(d.v, gradient(d.x, d.dt), rtol=0.0, atol=16 * size)
+
+        return all(map(alike, self))
+
     def forward_differences(self) -> Self:
         """Velocities that carry each position to the next in one Euler step; the last sample has none and is dropped.
 

@@ -44,8 +44,11 @@ class Released(Task):
     def fit(self, demonstrations: Demonstrations) -> GaussianMixture:
         """EM as the program does it: from k-means, to a relative change of 1e-10, with a floor that is added twice.
 
-        The program pairs positions with forward differences; recordings with their own velocities keep these.
+        The program pairs positions with forward differences, and so does this where positions alone were recorded; recordings
+        with their own velocities keep these.
         """
+        if demonstrations.differentiated:
+            demonstrations = demonstrations.forward_differences()
         fitted = GaussianMixture.fit(demonstrations, self.n_components, covariance_floor=FLOOR, tol=1e-10)
         identity = torch.eye(fitted.means.shape[-1], dtype=fitted.means.dtype)
         return GaussianMixture(fitted.priors, fitted.means, fitted.covariances + FLOOR * identity)

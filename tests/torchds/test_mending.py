@@ -132,6 +132,8 @@ def test_a_wrapped_angle_goes_on(period):
     assert (d.x[:, 1] - angle).abs().max() < 1e-9 * period
     assert (d.v[:, 1] - (angle[1] - angle[0]) / 0.01).abs().max() < 1e-6 * period
     assert torch.equal(demos.unwrap([1], period=period)[0].x, d.x)
+    (later,) = demos.retime(7.0).unwrap()  # whose velocities are taken anew as well, though they were rounded
+    assert (later.v[:, 1] - (angle[1] - angle[0]) / later.dt).abs().max() < 1e-6 * period
     with pytest.raises(InvalidArgumentError, match="0 to 1"):
         demos.unwrap([2])
 

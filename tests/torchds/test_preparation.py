@@ -32,6 +32,17 @@ def test_differentiate_forgets_given_velocities():
     assert Demonstrations([[[0.0], [3.0]]], dt=0.5)[0].v.tolist() == [[6.0], [6.0]]
 
 
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_positions_alone_are_known_whatever_was_rounded_since_and_other_velocities_are_not(dtype):
+    *parts, dt = sine(26)
+    x, v = (torch.from_numpy(part).to(dtype) for part in parts)
+    alone, own = Demonstrations([x], dt=dt), Demonstrations([x], [v], dt)
+    moved = [alone, alone.shift_to_goal([20.0, 3.0]), alone.scale(1e-3), alone.retime(7.0), alone.mirror(0)]
+    assert all(demos.differentiated for demos in moved) and (alone + alone).differentiated
+    others = [own, alone + own, alone.every(2), alone.smooth(5), alone.resample(40), alone.forward_differences()]
+    assert not any(demos.differentiated for demos in others)
+
+
 def test_forward_differences_are_euler_steps():
     demos = two(stiffness=True)
     for d, f in zip(demos, demos.forward_differences(), strict=True):

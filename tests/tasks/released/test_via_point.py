@@ -82,7 +82,7 @@ def test_the_released_settings_are_those_of_its_program():
 def test_the_released_policy_is_fitted_with_a_floor_that_is_added_twice():
     rng, s = np.random.default_rng(0), np.linspace(0, 1, 80)[:, None]
     curve = np.hstack([-130 * (1 - s) ** 2, -100 * (1 - s) + 80 * np.sin(5 * s) * (1 - s)])
-    demonstrations = Demonstrations([curve + rng.normal(size=(80, 2)) for _ in range(3)], dt=0.1)
+    demonstrations = Demonstrations([curve + rng.normal(size=(80, 2)) for _ in range(3)], dt=0.1).forward_differences()
     task = tasks.make("via_point", convention="released", demonstrations=demonstrations)
     once = GaussianMixture.fit(demonstrations, 4, covariance_floor=1e-5, tol=1e-10)
     difference = task.mixture.covariances - once.covariances
