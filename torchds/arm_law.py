@@ -42,24 +42,27 @@ def torques(state: State, gains: Gains, J: Tensor, K: Tensor, error: Tensor, vel
         velocity: `(..., 6)` of the reference.
     """
     q, v, mass, bias = state
-    # In joint coordinates scaled by the root of the mass matrix the arm has unit mass, and the task sees
-    # J̃ = J L⁻ᵀ = U S Vᵀ; the rows of Vᵀ that belong to S > 0 span what the task can move.
+    # In joint coordinates scaled by the root of the mass matrix the arm has unit mass and the task sees J̃ = J L⁻ᵀ. With
+    # √K J̃ = P Σ Qᵀ it damps by 2 ζ Q Σ Qᵀ, of which the reference takes 2 ζ Q Pᵀ √K ẋ^ref off (`torchds.kernels.arm`).
     L = torch.linalg.cholesky(mass)
     scaled = torch.linalg.solve_triangular(L, J.mT, upper=False).mT  # (..., 6, J)
-    U, S, Vh = torch.linalg.svd(scaled, full_matrices=False)
-    moves = 1e-7 * S[..., :1] < S
-    S, Vh = S * moves, Vh * moves.unsqueeze(-1)
-    inverse = torch.where(moves, 1 / S.where(moves, torch.ones_like(S)), 0.0)
-    modes = S.unsqueeze(-1) * (U.mT * K.unsqueeze(-2)) @ U * S.unsqueeze(-2)
-    squares, W = torch.linalg.eigh(modes)
-    root = W * squares.clamp_min(0.0).sqrt().unsqueeze(-2) @ W.mT
-    slip = _times(Vh, _times(L.mT, v)) - inverse * _times(U.mT, velocity)
-    damping = -2 * gains.damping_ratio * _times(L, _times(Vh.mT, _times(root, slip)))
+    held = K > 0
+    root = torch.where(held, K, 1.0).sqrt() * held  # so that its gradient is zero where K is
+    P, S, Qh = _modes(root.unsqueeze(-1) * scaled)
+    slip = S * _times(Qh, _times(L.mT, v)) - _times(P.mT, root * velocity)
+    damping = -2 * gains.damping_ratio * _times(L, _times(Qh.mT, slip))
 
     free = gains.posture_stiffness * (gains.posture.to(q.device) - q) - gains.posture_damping * v
     raw = torch.linalg.solve_triangular(L, free.unsqueeze(-1), upper=False).squeeze(-1)
-    nullspace = _times(L, raw - _times(Vh.mT, _times(Vh, raw)))
+    moved = Qh if held.all() else _modes(scaled)[2]  # its rows span what the task can move
+    nullspace = _times(L, raw - _times(moved.mT, _times(moved, raw)))
     return _times(J.mT, K * error) + damping + bias + nullspace, nullspace
+
+
+def _modes(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """P, Σ and Qᵀ of P Σ Qᵀ, those rows of Qᵀ zero along which next to nothing is moved."""
+    P, S, Qh = torch.linalg.svd(matrix, full_matrices=False)
+    return P, S, Qh * (1e-7 * S[..., :1] < S).unsqueeze(-1)
 
 
 def rotation_vector(turn: Tensor) -> Tensor:

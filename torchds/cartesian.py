@@ -51,8 +51,8 @@ class CartesianImpedance:
 
     D damps each mode of spring and mass by `damping_ratio`, by double diagonalisation with the task inertia
     Λ = (J M⁻¹ Jᵀ)⁻¹: Λ = Q Qᵀ, K = Q K₀ Qᵀ, D = 2 ζ Q √K₀ Qᵀ (Albu-Schäffer, Ott, Frese, Hirzinger, ICRA 2003). The paper's
-    2 √(s m) is this for one mass m. It is computed from the singular values of J L⁻ᵀ, M = L Lᵀ, so that Λ itself, which
-    does not exist in singular postures and for arms with fewer than six joints, is not needed.
+    2 √(s m) is this for one mass m. In singular postures and for arms with fewer than six joints, where there is no Λ, it is
+    D = 2 ζ √K ((√K J M⁻¹ Jᵀ √K)^½)⁺ √K, elsewhere the same; it is computed from the singular values of √K J L⁻ᵀ, M = L Lᵀ.
 
     The joints that the task leaves free are drawn to a posture by τ_null, which does not accelerate the tool:
     J M⁻¹ τ_null = 0.

@@ -168,6 +168,25 @@ def test_damping_is_twice_the_root_of_stiffness_in_the_metric_of_the_mass(chain,
     torch.testing.assert_close(D, D.T, rtol=1e-7, atol=1e-6)
 
 
+@pytest.mark.parametrize("joints", [3, 7])
+def test_a_moving_reference_pulls_by_the_damping_also_where_the_tool_cannot_follow(chain, randn, joints):
+    """Jᵀ D ẋ^ref, D = 2 ζ √K ((√K J M⁻¹ Jᵀ √K)^½)⁺ √K; the seven joints are stretched out."""
+    arm, angles = (chain, torch.zeros(7)) if joints == 7 else (three_joints(), torch.tensor([0.3, 0.8, -0.5]))
+    q, v, mass, bias = random_state(randn, angles.double(), (), joints)
+    q, v, mass, bias = (a.expand(6, *a.shape) for a in (angles.double(), v, mass, bias))
+    control = CartesianImpedance(arm, angles.double(), damping_ratio=0.7)
+    still = PoseReference(torch.zeros(3).double(), torch.eye(3).double(), *torch.zeros(2, 6, 3).double())
+    moving = still._replace(v=torch.eye(6).double()[:, :3], rate=torch.eye(6).double()[:, 3:])
+    pull = control(q, v, mass, bias, moving, 200.0).torque - control(q, v, mass, bias, still, 200.0).torque
+    J = arm.jacobian(q[:1], ret_eef_pose=True)[0][0]
+    root = torch.tensor([200.0] * 3 + [20.0] * 3).double().sqrt().diag()
+    squares, modes = torch.linalg.eigh(root @ J @ torch.linalg.solve(mass[0], J.T) @ root)
+    inverse = torch.where(squares > 1e-10 * squares[-1], squares.abs().rsqrt(), 0.0)
+    assert int((inverse == 0).sum()) == (3 if joints == 3 else 2)
+    D = 1.4 * root @ (modes * inverse) @ modes.T @ root
+    torch.testing.assert_close(pull, D @ J, rtol=1e-6, atol=1e-6)
+
+
 def test_the_nullspace_torque_does_not_accelerate_the_tool(chain, start, randn):
     q, v, mass, bias = random_state(randn, start, (50,))
     asked = CartesianImpedance(chain, start)(q, v, mass, bias, at(0.6, 0.2, 0.0), 300.0)

@@ -4,7 +4,7 @@ With J̃ = J L⁻ᵀ, M = L Lᵀ, and C = √K J̃ = P Σ Qᵀ, the root of J̃�
 
     −2 ζ L Q (Σ Qᵀ Lᵀ q̇ − Pᵀ √K ẋ^ref)
 
-which is what the eager form computes by two decompositions. The one that is left is a one-sided Jacobi rotation of six columns.
+The decomposition is a one-sided Jacobi rotation of six columns.
 
 Stability: experimental.
 """

@@ -28,9 +28,10 @@ def arms(randn, n, count):
     return randn(count, n), randn(count, n), mass, randn(count, n)
 
 
-@pytest.mark.parametrize(("n", "slides"), [(7, ()), (7, (2, 5)), (6, ()), (9, (0,)), (3, ()), (1, (0,))])
+@pytest.mark.parametrize(("n", "slides"), [(7, ()), (7, (2, 5)), (6, ()), (9, (0,)), (3, ()), (1, (0,)), (7, range(5))])
 @pytest.mark.parametrize("in_space", [True, False])
 def test_it_is_the_law_of_torch(randn, n, slides, in_space):
+    """Also where the tool cannot follow: arms of few joints, or of more slides than directions."""
     chain, state = screws(randn, slides, n), arms(randn, n, 20)
     if in_space:
         rotation = chain.jacobian(randn(20, n))[1][:, :3, :3]
@@ -39,14 +40,11 @@ def test_it_is_the_law_of_torch(randn, n, slides, in_space):
         reference = PoseReference(randn(20, 3), rotation, randn(20, 3), randn(20, 3))
     else:
         reference = PlaneReference(randn(20, 2), randn(20), randn(20, 2), randn(20))
-    if n < 6:  # what the tool cannot follow is weighted otherwise
-        reference = reference._replace(v=0 * reference.v, rate=0 * reference.rate)
     posture, options = randn(n), {"torque_limit": [30.0] * n, "start_within": None}
     made = [CartesianImpedance(chain, posture, **options, backend=backend) for backend in ("eager", "fused")]
-    # Without stiffness the roots of torch's form are of numbers that are zero to round-off.
-    for s, close in ((300.0, 1e-8), (100 * randn(20).abs(), 1e-8), (0.0, 1e-5)):
+    for s in (300.0, 100 * randn(20).abs(), 0.0):
         eager, fused = (control(*state, reference, s) for control in made)
         assert torch.equal(eager.saturated, fused.saturated)
         for name in ("torque", "pose", "error", "nullspace"):
             one, other = getattr(eager, name), getattr(fused, name)
-            torch.testing.assert_close(other, one, rtol=1e-8, atol=close, msg=lambda m, name=name: f"{name}: {m}")
+            torch.testing.assert_close(other, one, rtol=1e-8, atol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
