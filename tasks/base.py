@@ -101,6 +101,11 @@ class Task(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        if isinstance(said := cls.__dict__.get("exploration"), str) and "exploration" not in cls.__annotations__:
+            raise InvalidArgumentError(
+                f"a task says its exploration in `defaults`, got exploration = {said!r}; write defaults = "
+                f"{{'exploration': {said!r}}}"
+            )
         if "name" not in cls.__dict__:
             cls.name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
         dataclass(kw_only=True, eq=False, repr=False)(cls)

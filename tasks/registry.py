@@ -12,6 +12,7 @@ from tasks.lwr_digging import DiggingOptions
 from tasks.plain import required
 from tasks.settings import Convention
 from tasks.sketch.task import of_file
+from torchds.arrays import shown
 from torchds.errors import InvalidArgumentError, UnknownNameError
 
 Class = TypeVar("Class", bound=type[Task])
@@ -26,8 +27,10 @@ def register(task: Class) -> Class:
     """Make a task known by its `name`: to `make` and to the training commands of this program; also a decorator.
 
     Raises:
-        InvalidArgumentError: a class that is not complete, or a name that another class has.
+        InvalidArgumentError: no class of tasks, one that is not complete, or a name that another class has.
     """
+    if not (inspect.isclass(task) and issubclass(task, Task)):
+        raise InvalidArgumentError(f"register takes a class of tasks, got {shown(task)}")
     if inspect.isabstract(task):
         missing = ", ".join(sorted(task.__abstractmethods__))
         raise InvalidArgumentError(f"{task.__name__} is not complete: it has to define {missing}")

@@ -3,6 +3,7 @@ import torch
 
 import tasks
 from torchds import Demonstrations, GaussianMixture, costs
+from torchds.errors import InvalidArgumentError
 
 
 def curve(size, h, D=2):
@@ -41,6 +42,11 @@ def test_a_task_of_demonstrations_and_a_cost_has_all_the_rest(dim):
     alone = Bend(dim=dim, mixture=task.mixture)
     assert alone.source is None
     torch.testing.assert_close(alone.policy().A, policy.A, rtol=0, atol=0)
+
+
+def test_an_exploration_outside_the_defaults_is_refused():
+    with pytest.raises(InvalidArgumentError, match=r"write defaults = \{'exploration': 'stable'\}"):
+        type("Old", (Bend,), {"exploration": "stable"})
 
 
 def test_its_name_is_that_of_the_class_and_its_options_are_its_fields():

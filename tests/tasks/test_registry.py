@@ -34,6 +34,10 @@ def test_a_name_belongs_to_one_class(monkeypatch):
     ):
         tasks.register(Other)
 
+    for none in (Bend(), int, "bend", None):
+        with pytest.raises(InvalidArgumentError, match="register takes a class of tasks, got"):
+            tasks.register(none)
+
     class Half(tasks.Task):
         pass
 

@@ -137,10 +137,11 @@ def _positions(
     prefixed = stray + [i for i in x if len(free[i].words) > 1] if twice else []
     if doubtful := sorted({*unknown, *prefixed}):
         names = tuple(header[i] for i in doubtful)
-        surest = tuple(header[i] for i in x if i not in doubtful) or (*names[: len(names) // 2],)
+        surest = tuple(header[i] for i in x if i not in doubtful) or (*names[: (len(names) + 1) // 2],)
+        others = tuple(name for name in names if name not in surest) or names
         raise FileError(
             f"{path}: cannot tell which columns are positions: {', '.join(names)}. Say which are, such as "
-            f"positions={surest or names!r}, or leave out the others, ignore={names!r}"
+            f"positions={surest!r}, or leave out the others, ignore={others!r}"
         )
     return x
 

@@ -11,16 +11,21 @@ from torchds.errors import DemonstrationWarning, FileError
 
 def test_means_and_spreads_beside_each_other_are_asked_for(file):
     path = file(table("time,m_x,m_y,s_x,s_y", TIMES, *X.T, *X.T))
-    with refuses(FileError, "cannot tell which columns are positions", "positions=('m_x', 'm_y')"):
+    with refuses(
+        FileError, "cannot tell which columns are positions", "positions=('m_x', 'm_y')", "ignore=('s_x', 's_y')"
+    ):
         load(path)
-    demos = load(path, positions=("m_x", "m_y"))
-    assert is_motion(demos)
-    assert demos[0].stiffness is None
+    for chosen in ({"positions": ("m_x", "m_y")}, {"ignore": ("s_x", "s_y")}):  # both of which the error names
+        demos = load(path, **chosen)
+        assert is_motion(demos)
+        assert demos[0].stiffness is None
 
 
 def test_a_column_of_unknown_name_is_asked_for(file):
     path = file(table("time,foo,bar", TIMES, *X.T))
-    with refuses(FileError, "cannot tell which columns are positions: foo, bar", "positions=", "ignore="):
+    with refuses(
+        FileError, "cannot tell which columns are positions: foo, bar", "positions=('foo',)", "ignore=('bar',)"
+    ):
         load(path)
     assert is_motion(load(path, positions=("foo", "bar")))
 

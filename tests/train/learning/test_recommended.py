@@ -16,7 +16,7 @@ def medians(task, **chosen):
     return np.median(learner.learn().history.cost, -1)
 
 
-@pytest.mark.parametrize(("shape", "pibb", "end"), [("N", 0.156, 0.06), ("P", 0.455, 0.02)])
+@pytest.mark.parametrize(("shape", "pibb", "end"), [("N", 0.156, 0.045), ("P", 0.455, 0.015)])
 @pytest.mark.slow
 def test_via_points(shape, pibb, end):
     """PI^BB ends at `pibb` after 500 roll-outs."""
