@@ -76,7 +76,8 @@ def rollout(
         n_steps: T.
         dt: time step [s].
         starts: how the leading dimensions of `x0` are read.
-        stop: a roll-out rests for good where this is True; see `torchds.stops`.
+        stop: a roll-out rests for good where this is True, which is asked of the reference where there is a plant; see
+            `torchds.stops`.
         plant: what tracks the motion; the policy sees its own reference, never the plant (Eq. 32-34), but for `feedback`.
         shift: how far the whole field is moved, ẋ = policy(x − shift), also as a function of time: a motion that ends
             at x* then ends at x* + shift, and follows a target that moves (section 5.1).

@@ -72,7 +72,7 @@ class Problem:
         start: where the motion begins; None for the mean start of the demonstrations.
         goal: where all demonstrations are moved to end; None for the mean end of the demonstrations as they are.
         via_points: to pass through.
-        walls: the two ends of each; a motion that meets one stays there.
+        walls: the two ends of each; a motion that meets one stays there, with a body the point mass.
         regions: discs to stay out of, each with `center` and `radius`.
         weights: of the cost terms by name.
         body: a point mass that follows the motion, with its controller and the field of force around it; None for none.

@@ -17,13 +17,14 @@ from tasks.imitation import with_constant_stiffness, with_stiffness, without_sti
 from tasks.loading import absolute, short
 from tasks.settings import Motion, Regions, Scene
 from tasks.sketch.problem import Problem
+from tasks.sketch.walled import Walled
 from torchds import Demonstrations, GaussianMixture, GMRPolicy, Rollout, Walls, costs, fit_stable
 from torchds.devices import moved
 from torchds.fits import Condition, StableFit
 from torchds.forces import ConstantForce, DivergentForce
 from torchds.impedance import ImpedanceControlled
 from torchds.passive import PassiveControlled
-from torchds.plants import Force, Plant, PointMass
+from torchds.plants import Force, PointMass
 
 STARTS, TOLERANCE = 3, 1e-4  # of the fit; the likelihood of what hands draw is that of the usual ones to three digits
 RANGE = 100.0  # how far the applied stiffness may go below and above the one at the start, as a factor
@@ -34,7 +35,7 @@ class Sketch(Task):
 
     The cost has a term for each thing that there is, times its weight: Σ_l min_j |x_l^via − x_j|², |x^goal − x_T|²,
     Σ_j |v_j − v_{j−1}|, Σ_j |v_j| dt, Σ_r max_j (R_r − |x_j − c_r|)₊² for the regions to stay out of, and Σ_j |s_j| for the
-    stiffness of a body. A motion that meets a wall stays there.
+    stiffness of a body. A motion that meets a wall stays there; with a body the point mass does, wherever its reference goes.
 
     Class attributes:
         problem: what was drawn. The class itself is that of an empty drawing; `of` makes the class of another one.
@@ -72,11 +73,14 @@ class Sketch(Task):
         if drawn.regions:
             centres, radii = zip(*((region["center"], region["radius"]) for region in drawn.regions), strict=True)
             self.regions = Regions(*(torch.tensor(part, dtype=torch.float64) for part in (centres, radii)))
-        self.stop = None if self.segments is None else Walls(self.segments)
-        self.plant = None if drawn.body is None else self.controlled(drawn.body)
+        walls = None if self.segments is None else Walls(self.segments)
+        if drawn.body is None:
+            self.stop = walls
+        else:
+            self.plant = self.controlled(drawn.body) if walls is None else Walled(self.controlled(drawn.body), walls)
         self.feedback = drawn.body is not None and drawn.body["execution"] != "open"
 
-    def controlled(self, body: Mapping[str, Any]) -> Plant:
+    def controlled(self, body: Mapping[str, Any]) -> ImpedanceControlled | PassiveControlled:
         """The point mass with its controller."""
         mass = PointMass(mass=body["mass"], damping=body["damping"], force=self.force(body))
         low, high = body["stiffness"] / RANGE, body["stiffness"] * RANGE
