@@ -48,7 +48,8 @@ class Certificate(NamedTuple):
         eigenvalues: `(*batch, K)` the largest generalised eigenvalue of (P A_k + A_kᵀ P) / 2 against P [1/s].
         offset: `(*batch, K)` |b_k + A_k x*| [velocity unit].
         resolution: `(*batch, K)` how far rounding can have moved the eigenvalues [1/s].
-        tied: `(*batch,)` True where every offset is zero up to round-off, so that the goal is a fixed point.
+        tied: `(*batch,)` True where every offset is zero up to round-off, so that the goal is a fixed point; or so small
+            against the rate of its component that motions end at x* to half of its digits, |x − x*|_P ≤ √ε |x*|_P.
     """
 
     eigenvalues: Tensor
@@ -116,7 +117,10 @@ def certificate(policy: LinearExperts, goal: Array, P: Array | None = None) -> C
     pull = (A @ x_star.unsqueeze(-1)).squeeze(-1)
     offset = torch.linalg.vector_norm(b + pull, dim=-1)
     size = torch.linalg.vector_norm(b, dim=-1) + torch.linalg.matrix_norm(A) * torch.linalg.vector_norm(x_star, dim=-1)
-    tied = offset <= 100 * eps * size  # b is kept in the policy's own precision
+    # b is kept in the policy's own precision, and what noise has made small has the rounding of what it was before. Along a
+    # motion |x − x*|_P falls wherever it is above |offset|_P / rate, of all components the largest.
+    near = _length(b + pull, metric) <= -math.sqrt(eps) * eigenvalues * _length(x_star, metric)
+    tied = (offset <= 100 * eps * size) | near
     return Certificate(eigenvalues, offset, blur, tied.all(-1))
 
 
@@ -294,6 +298,12 @@ def _symmetric(M: Tensor) -> Tensor:
 
 def _identity_like(M: Tensor) -> Tensor:
     return torch.eye(M.shape[-1], dtype=M.dtype, device=M.device)
+
+
+def _length(x: Tensor, P: Tensor | None) -> Tensor:
+    """|x|_P of vectors `(..., D)`."""
+    length: Tensor = torch.linalg.vector_norm(x if P is None else (_root(P) @ x.unsqueeze(-1)).squeeze(-1), dim=-1)
+    return length
 
 
 def _root(P: Tensor) -> Tensor:

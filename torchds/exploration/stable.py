@@ -111,10 +111,11 @@ class Stable(Exploration):
         certificate = self.policy.certificate(self.goal, self.P)
         A, b = self.policy.A.detach(), self.policy.b.detach()
         size = b.abs().amax() + A.abs().amax() * self.goal.to(A).abs().amax()
-        if (apart := certificate.offset.amax()) > 1e3 * torch.finfo(size.dtype).eps * size:
+        apart = certificate.offset
+        if not (certificate.tied | (apart <= 1e3 * torch.finfo(size.dtype).eps * size).all(-1)).all():
             raise InvalidArgumentError(
-                f"b differs from −A x* by up to {apart:.2g}: the policy does not rest at the goal {self.goal.tolist()}; give "
-                "the goal of its fit, or fit one that rests there with torchds.fit_stable(..., goal=goal)"
+                f"b differs from −A x* by up to {apart.amax():.2g}: the policy does not rest at the goal {self.goal.tolist()}; "
+                "give the goal of its fit, or fit one that rests there with torchds.fit_stable(..., goal=goal)"
             )
         if self.shrink == "none":
             return
