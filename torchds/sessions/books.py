@@ -10,6 +10,7 @@ Stability: experimental.
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,7 +27,7 @@ from torchds.optim.base import PolicySearch
 from torchds.policy import GMRPolicy
 from torchds.sessions.evidence import Evidence, refuse_gross
 from torchds.sessions.given import STATE, check_given, give
-from torchds.sessions.records import Asked, Costs, Status, Told
+from torchds.sessions.records import POLICY, Asked, Costs, Status, Told
 from torchds.sessions.tables import COSTS, State, failure, reference, reference_text, returned, write_table
 from torchds.sessions.trial import Reference, Trial
 
@@ -52,6 +53,8 @@ class Books(ABC):
         attempt: of this update, from 1; another one follows where all roll-outs failed.
         spent: roll-outs so far.
         failed: how many of them failed since the last line of the history.
+        best: the policy that cost least of those that were tried without noise, and what it cost; None before one has a
+            finite cost.
     """
 
     says: type[Status] = Status
@@ -60,6 +63,7 @@ class Books(ABC):
     def __init__(self, folder: Path, trial: Trial, policy: GMRPolicy, optim: PolicySearch, n_updates: int) -> None:
         self.folder, self.trial, self.policy, self.optim, self.n_updates = folder, trial, policy, optim, n_updates
         self.asked, self.given, self.attempt, self.spent, self.failed = False, "", 1, 0, 0
+        self.best: tuple[GMRPolicy, float] | None = None
         self._written = ""  # digest of the state as this object knows it
 
     @property
@@ -94,15 +98,19 @@ class Books(ABC):
             yield
 
     def _write(self, state: dict[str, Any]) -> None:
-        """Replace the state by this and the books."""
-        state = {**state, **{name: getattr(self, name) for name in BOOKS}}
+        """Replace the state by this, the best policy and the books."""
+        best = None if self.best is None else {"policy": self.best[0].state_dict(), "cost": self.best[1]}
+        state = {**state, "best": best, **{name: getattr(self, name) for name in BOOKS}}
         files.save(self.folder / STATE, "session", state)
         self._written = files.digest(state)
 
     def _read(self, state: dict[str, Any]) -> None:
-        """Take the books from a state."""
+        """Take the books from a state, and the best policy where it has one with a finite cost."""
         for name in BOOKS:
             setattr(self, name, state[name])
+        if (best := state.get("best")) is not None and math.isfinite(best["cost"]):
+            self.best = copy.deepcopy(self.policy), best["cost"]
+            self.best[0].load_state_dict(best["policy"])
         self._written = files.digest(state)
 
     def hint(self, command: str) -> str:
@@ -204,6 +212,7 @@ class Books(ABC):
             seen.update(evidence.terms(self.policy))
             return torch.stack(list(seen.values())).sum(0)
 
+        tried = copy.deepcopy(self.policy)
         try:
             self._step(closure)
         except AllRolloutsFailedError as error:
@@ -213,9 +222,8 @@ class Books(ABC):
             raise AllRolloutsFailedError(
                 f"all roll-outs failed; the policy stays as it is. {self.status().next}"
             ) from error
-        return self.finish(
-            {name: values.flatten() for name, values in seen.items()}, states, [str(f) for f in findings]
-        )
+        terms = {name: values.flatten() for name, values in seen.items()}
+        return self.finish(tried, terms, states, [str(f) for f in findings])
 
     def evidence(self, states: list[State]) -> Evidence:
         """What came back.
@@ -233,8 +241,8 @@ class Books(ABC):
             )
         return evidence
 
-    def finish(self, terms: dict[str, Tensor], states: list[State], notes: list[str]) -> Told:
-        """Enter the update into the books, from the cost terms `(N,)` of its roll-outs."""
+    def finish(self, tried: GMRPolicy, terms: dict[str, Tensor], states: list[State], notes: list[str]) -> Told:
+        """Enter the update into the books, from the policy before it and the cost terms `(N,)` of its roll-outs."""
         last = self.optim.last
         assert last is not None
         terms = {**terms, "control": last.control.flatten()}
@@ -243,10 +251,42 @@ class Books(ABC):
         rows = [[k, *row, state] for k, (row, state) in enumerate(zip(numbers, states, strict=True), 1)]
         write_table(self.update_folder / "outcome.csv", header, rows)
         failed = self._enter(terms, states.count("there"))
+        cost = self.history.cost[-1][0]
+        if math.isfinite(cost) and (self.best is None or cost < self.best[1]):
+            self.best = tried, cost
         self.spent += self.optim.n_rollouts
         self.failed, self.asked, self.attempt = failed, False, 1
         self.save()
         return Told(self.done, self.n_updates, self.failed, header, rows, notes)
+
+    # ------------------------------------------------------------------ export
+
+    def export(self, path: str | Path, **about: Any) -> GMRPolicy:
+        """Write the best policy as a file for `torchds.Controller.load`, and return it.
+
+        Args:
+            path: of the file.
+            **about: goal, P, names, units or dt, in place of what the policy, the layout and the trial say.
+
+        Raises:
+            InvalidArgumentError: no policy with a finite cost was tried yet, or none since an earlier version did not keep it.
+        """
+        if self.best is None:
+            earlier = any(math.isfinite(cost) for (cost,) in self.history.cost)
+            why = "was kept by the earlier version that tried them" if earlier else "was tried yet"
+            last = f"the last one is in {self.folder / POLICY}"
+            then = self.status().next if self.done < self.n_updates else last
+            raise InvalidArgumentError(f"{self.folder}: no policy with a finite cost {why}; {then}")
+        policy = self.best[0][0] if self.best[0].batch_shape else self.best[0]
+        policy.save(path, **{**self._about(policy), **about})
+        return policy
+
+    def _about(self, policy: GMRPolicy) -> dict[str, Any]:
+        """What a file of a policy says beside it: goal, P, names, units and dt, those that are known."""
+        D = policy.input_dim
+        names = tuple(name.partition(" [")[0] for name in self.trial.layout.position[:D])
+        units = set(self.trial.layout.units[:D])
+        return {"names": names, "units": units.pop() if len(units) == 1 else "", "dt": self.trial.dt}
 
     # ------------------------------------------------------------------ status
 

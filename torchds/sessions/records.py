@@ -149,8 +149,10 @@ class Status(NamedTuple):
     def next(self) -> str:
         """The command to type next, in words."""
         if self.states is None:
-            finished = f"all updates are made; the policy is in {self.folder / POLICY}"
-            return finished if self.done >= self.n_updates else f"next: {self.hint('ask', self.folder)}"
+            if self.done < self.n_updates:
+                return f"next: {self.hint('ask', self.folder)}"
+            last = f"the last policy, not tried yet, is in {self.folder / POLICY}"
+            return f"all updates are made; the best that was tried: {self.hint('export', self.folder)}; {last}"
         first = ""
         if "missing" in self.states:
             first = f"put recording-<k>.csv, or recording-<k>.failed, or one {COSTS} beside the references, then "
@@ -158,8 +160,9 @@ class Status(NamedTuple):
 
     @staticmethod
     def hint(command: str, folder: Path) -> str:
-        """What to type for "ask", "tell", "status" or "insist", which is to tell all the same."""
-        return "session.tell(force=True)" if command == "insist" else f"session.{command}()"
+        """What to type for "ask", "tell", "status", "export" or "insist", which is to tell all the same."""
+        given = {"insist": "session.tell(force=True)", "export": "session.export('best.pt')"}
+        return given.get(command, f"session.{command}()")
 
 
 def aligned(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -5,8 +5,6 @@ Stability: stable.
 
 from __future__ import annotations
 
-import copy
-import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -92,7 +90,6 @@ class Session(Books):
             )
         self.schedulers = list(schedulers)
         self._history = History()
-        self.best: tuple[GMRPolicy, float] | None = None
         asked = {name: part.cpu().clone() for name, part in trial.reference(policy)._asdict().items()}
         self._motion = [asked, list(trial.layout.reference), trial.dt]
         if (self.folder / STATE).is_file():
@@ -109,33 +106,10 @@ class Session(Books):
         """What each update cost, of the policy as it was tried before it."""
         return self._history
 
-    def export(self, path: str | Path, **about: Any) -> GMRPolicy:
-        """Write the best policy as a file for `torchds.Controller.load`, and return it.
-
-        Args:
-            path: of the file.
-            **about: goal, P, names, units or dt, in place of what the policy, the layout and the trial say.
-
-        Raises:
-            InvalidArgumentError: no policy has a finite cost yet.
-        """
-        if self.best is None:
-            raise InvalidArgumentError(
-                f"{self.folder}: no policy with a finite cost was tried yet; {self.status().next}"
-            )
-        policy, layout = self.best[0], self.trial.layout
-        D, units = policy.input_dim, set(layout.units)
-        names = tuple(name.partition(" [")[0] for name in layout.position[:D])
-        policy.save(
-            path, **{"names": names, "units": units.pop() if len(units) == 1 else "", "dt": self.trial.dt, **about}
-        )
-        return policy
-
     def save(self) -> None:
         """Write results and policy, then the state: before that moment the command did not happen."""
         files.write_sealed(self.folder / RESULTS, {"versions": versions(), **asdict(self.history)})
         self.policy.save(self.folder / POLICY, dt=self.trial.dt)
-        best = None if self.best is None else {"policy": self.best[0].state_dict(), "cost": self.best[1]}
         self._write(
             {
                 "versions": versions(),
@@ -144,7 +118,6 @@ class Session(Books):
                 "optim": self.optim.state_dict(),
                 "schedulers": [plain(each.state_dict()) for each in self.schedulers],
                 "history": asdict(self.history),
-                "best": best,
             }
         )
 
@@ -162,16 +135,11 @@ class Session(Books):
                 scheduler.load_state_dict(given)
             named = {TASK if name == "cost" else name: rows for name, rows in state["history"]["terms"].items()}
             self._history = History(**{**state["history"], "terms": named})  # "cost" in earlier versions
-            if (best := state["best"]) is not None and math.isfinite(best["cost"]):
-                policy = copy.deepcopy(self.policy)
-                policy.load_state_dict(best["policy"])
-                self.best = policy, best["cost"]
+            self._read(state)
         except (KeyError, TypeError, ValueError, RuntimeError, TorchdsError) as error:
             raise FileError(f"{path} does not fit what is given now: {files.reason(error)}") from error
-        self._read(state)
 
     def _step(self, closure: Callable[[], Tensor]) -> None:
-        self._tried = copy.deepcopy(self.policy)
         self.optim.step(closure)
         for scheduler in self.schedulers:
             scheduler.step()
@@ -180,11 +148,8 @@ class Session(Books):
         last = self.optim.last
         assert last is not None
         nominal = {name: float(values[0]) for name, values in terms.items()}
-        cost = sum(nominal.values())
         self.history.add(self.spent, nominal, self.failed)
         self.history.seconds += n_there * self.trial.seconds
-        if math.isfinite(cost) and (self.best is None or cost < self.best[1]):
-            self.best = self._tried, cost
         return int(last.failed.sum())
 
 

@@ -1,4 +1,4 @@
-"""Learning with a robot: `python -m train hardware start | ask | tell | status DIR`."""
+"""Learning with a robot: `python -m train hardware start | ask | tell | status | export DIR`."""
 
 from __future__ import annotations
 
@@ -115,6 +115,28 @@ class Status(InSession):
         print(self.session().status())
 
 
+@dataclass
+class Export(InSession):
+    """Write the best policy for a controller: the one that cost least of those that were tried without noise."""
+
+    file: tyro.conf.Positional[Path]
+    """What is written, for `torchds.Controller.load`."""
+    dt: float | None = None
+    """Time step of the controller [s]; that of the trials by default."""
+
+    def main(self) -> None:
+        """Write, and say what."""
+        session = self.session()
+        dt = session.trial.dt if self.dt is None else self.dt
+        session.export(self.file, dt=dt)
+        assert session.best is not None  # or nothing was exported
+        cost = session.best[1]
+        update = session.history.cost.index([cost]) + 1
+        print(
+            f"{self.file}: the policy that cost {cost:.4g} when update {update} tried it, for a time step of {dt:g} s"
+        )
+
+
 class Hardware:
     """Learn with a robot, through files: see docs/hardware.md."""
 
@@ -141,7 +163,7 @@ def hardware(arguments: list[str]) -> Any:
         "Start", [("folder", folder), ("options", shown, field(default_factory=options))], bases=(Start,)
     )
     start.__doc__ = Start.__doc__
-    kinds = {"start": start, "ask": Ask, "tell": Tell, "status": Status}
+    kinds = {"start": start, "ask": Ask, "tell": Tell, "status": Status, "export": Export}
     union: Any = Union[tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in kinds.items())]  # noqa: UP007
     made = make_dataclass("Hardware", [("command", CONF.OmitSubcommandPrefixes[union])], bases=(Hardware,))
     made.__doc__ = Hardware.__doc__

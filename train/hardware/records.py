@@ -18,7 +18,8 @@ class Status(records.Status):
         """A command to type."""
         if command == "insist":
             return f"{hint('tell', folder)} --force True"
-        return f"python -m train hardware {command} {shlex.quote(str(folder))}"
+        file = " best.pt" if command == "export" else ""
+        return f"python -m train hardware {command} {shlex.quote(str(folder))}{file}"
 
 
 hint = Status.hint

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from torch import Tensor
 
 import tasks
 from tasks.base import rolls_out_itself
-from torchds import files, sessions
+from torchds import GMRPolicy, files, sessions
 from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
 from torchds.files import make_folder
 from torchds.locks import one_writer
@@ -112,6 +113,9 @@ class Session(Books):
         said = {"options": self.options.to_json(), "versions": versions(), "kept": kept}
         task = {} if self.options.task == DIGGING else {"task": self.options.task}
         self._write({**said, **task, "learner": self.learner.state_dict()})
+
+    def _about(self, policy: GMRPolicy) -> dict[str, Any]:
+        return {**self.task.about(policy), "names": super()._about(policy)["names"]}
 
     @property
     def history(self) -> History:

@@ -22,6 +22,7 @@ def test_the_status_says_what_to_call():
     out = status._replace(states=["there", "missing"])
     assert out.next.endswith("beside the references, then session.tell()")
     assert Status.hint("insist", FOLDER) == "session.tell(force=True)"
+    assert Status.hint("export", FOLDER) == "session.export('best.pt')"
 
 
 def test_terms_that_come_and_go_are_nan_where_they_are_not():

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from torchds import load_policy
+from torchds import Controller, files, load_policy
 from train import __main__ as train_main
+from train.hardware.records import hint
 from train.learning.learner import Learner
 from train.options import options_for
 
@@ -67,7 +68,7 @@ def test_a_session_with_a_robot_in_another_process_learns_as_one_in_this_process
     assert results["rollouts"] == [0, 3] and results["failed"] == [0, 0] and results["seconds"] == 6 * SECONDS
     assert results["cost"] == [pytest.approx(last.cost[0].tolist(), rel=1e-14) for last in tried]
     assert set(results["terms"]) == {"gravel", "goal", "force", "stiffness", "acceleration", "control"}
-    assert "all updates are made; the policy is in" in command("status", folder)[1]
+    assert "all updates are made; the best that was tried: " in command("status", folder)[1]
     assert command("ask", folder)[0] == 2
 
 
@@ -93,7 +94,7 @@ def test_the_commands_say_what_comes_next(command, tmp_path):
     (folder / "update-001" / "costs.csv").write_text("rollout,cost\n1,3.0\n2,1.0\n3,2.0\n")
     code, said = command("tell", folder)
     assert "update 1 of 1 is made from 3 roll-outs" in said
-    assert said.endswith(f"all updates are made; the policy is in {folder / 'policy.pt'}\n")
+    assert said.endswith(f"the last policy, not tried yet, is in {folder / 'policy.pt'}\n")
     code, said = command("tell", folder)
     assert said.startswith("update 1 has been told already; nothing is changed\nall updates are made")
 
@@ -116,6 +117,52 @@ def test_a_session_of_another_task_has_its_columns_options_and_costs(tmp_path, c
     expected.start()
     for name, values in expected.history.terms.items():
         assert results["terms"][name][0] == pytest.approx(values[0], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_best_policy_is_exported_as_it_was_tried(tmp_path, command):
+    """Failed when it was tried first, dearer in the third update than in the second."""
+    folder, best = tmp_path / "s", tmp_path / "best.pt"
+    assert command("start", folder, "--task", "via_point", "--shape", "P", "--rollouts", 3, "--updates", 3)[0] == 0
+    code, said = command("export", folder, best)
+    assert code == 2 and f"no policy with a finite cost was tried yet; next: {hint('ask', folder)}" in said
+    tried = []
+    for update, nominal in enumerate(("failed", 2.0, 3.0), 1):
+        tried.append(load_policy(folder / "policy.pt").pack()[0])
+        command("ask", folder)
+        (folder / f"update-00{update}" / "costs.csv").write_text(f"rollout,cost\n1,{nominal}\n2,1.0\n3,1.5\n")
+        said = command("tell", folder)[1]
+        if update == 1:
+            assert command("export", folder, best)[0] == 2
+    assert f"the best that was tried: {hint('export', folder)}" in said and hint("export", folder).endswith(" best.pt")
+    said = command("export", folder, best, "--dt", 0.001)[1]
+    cost = json.loads((folder / "results.json").read_text())["cost"][1][0]
+    assert 2.0 <= cost < 2.1  # with its control cost
+    assert said == f"{best}: the policy that cost {cost:.4g} when update 2 tried it, for a time step of 0.001 s\n"
+    policy = load_policy(best)
+    assert torch.equal(policy.pack(), tried[1]) and not torch.equal(tried[1], tried[2])
+    info = load_policy(folder / "policy.pt").info
+    assert (policy.info.dt, policy.info.names, policy.info.units) == (0.001, info.names, info.units)
+    assert torch.equal(policy.info.goal, info.goal)
+    command("export", folder, best)
+    assert Controller.load(best).dt == info.dt
+
+
+@pytest.mark.slow
+def test_a_session_of_an_earlier_version_goes_on_and_keeps_the_best_from_then_on(tmp_path, command):
+    folder = tmp_path / "s"
+    command("start", folder, "--task", "via_point", "--shape", "P", "--rollouts", 3, "--updates", 2)
+    for update, nominal in ((1, 1.0), (2, 2.0)):
+        command("ask", folder)
+        (folder / f"update-00{update}" / "costs.csv").write_text(f"rollout,cost\n1,{nominal}\n2,1.0\n3,1.5\n")
+        assert command("tell", folder)[0] == 0
+        if update == 1:
+            state = files.load(folder / "session.pt", "session")
+            del state["best"]
+            files.save(folder / "session.pt", "session", state)
+            code, said = command("export", folder, tmp_path / "best.pt")
+            assert code == 2 and "was kept by the earlier version that tried them; next: python" in said
+    assert "when update 2 tried it" in command("export", folder, tmp_path / "best.pt")[1]
 
 
 @pytest.mark.slow

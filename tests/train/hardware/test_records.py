@@ -46,7 +46,10 @@ def test_the_status_says_what_was_spent_and_what_to_type(status):
         "           0      1.25     0.25   1.5              2",
         "next: python -m train hardware ask 'my session'",
     ]
-    assert status._replace(done=3).next == "all updates are made; the policy is in my session/policy.pt"
+    assert status._replace(done=3).next == (
+        f"all updates are made; the best that was tried: {hint('export', FOLDER)}; the last policy, not tried yet, is in "
+        "my session/policy.pt"
+    )
 
 
 def test_the_status_of_roll_outs_that_are_out_says_which_are_missing(status):

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from tasks.digging.simulation import Recording
-from torchds import files
+from torchds import files, load_policy
 from torchds.errors import AllRolloutsFailedError, InvalidArgumentError, TorchdsError
 from train.hardware.session import Session
 from train.learning.learner import Learner
@@ -341,9 +341,14 @@ def test_a_force_across_the_plane_is_zero_where_it_is_not_recorded_and_costs_whe
 
 
 @pytest.mark.slow
-def test_a_session_is_told_one_kind_of_file(session):
+def test_a_session_is_told_one_kind_of_file_and_exports_the_best(session, tmp_path):
     costs(session().update_folder, 1.0, 2.0, 3.0)
     session().tell()
+    mine = session()
+    best = mine.export(tmp_path / "best.pt")
+    info = load_policy(tmp_path / "best.pt").info
+    assert torch.equal(best.pack(), mine.learner.initial.pack()) and torch.equal(info.goal, mine.task.scene().goal)
+    assert (info.names, info.units, info.dt) == (("x", "z"), "m", mine.task.dt)
     session().ask()
     for k in (1, 2, 3):
         record(session().update_folder, k)
