@@ -14,6 +14,8 @@ from train.learning.learner import Learner
 from train.paper.measured.base import learned
 
 STEPS = 600  # after a step of the reference
+SETTLED = 0.02  # of that step; nearer to its end a plant has settled
+CRITICAL = 5.8339  # √(s/m) t at which critical damping is so near, (1 + z) e^−z = SETTLED
 
 
 def divergent(runs: int, seed: int, **options: object) -> Learner:
@@ -67,11 +69,22 @@ def stiffness_by_half(path: Rollout) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def overshoot(plant: ImpedanceControlled, stiffness: Tensor, dt: float) -> Tensor:
-    """How far the plant runs over a unit step of the reference `(N, 1)`; infinite where it diverges."""
+def step_response(plant: ImpedanceControlled, stiffness: Tensor, dt: float) -> Tensor:
+    """Where the plant is after each time step `(STEPS, N, 1)` behind a unit step of the reference; infinite if nowhere."""
     one, zero = torch.ones_like(stiffness), torch.zeros_like(stiffness)
-    state, highest = plant.reset(zero), zero
+    state, x = plant.reset(zero), []
     for i in range(STEPS):
         state = plant.step(state, Command(one, one, zero, zero, stiffness, i * dt, dt))
-        highest = torch.maximum(highest, state.x.nan_to_num(nan=torch.inf))
-    return highest - 1
+        x.append(state.x.nan_to_num(nan=torch.inf))
+    return torch.stack(x)
+
+
+def overshoot(x: Tensor) -> Tensor:
+    """How far a `step_response` runs over the unit step `(N, 1)`; infinite where it diverges."""
+    return x.amax(0) - 1
+
+
+def settling(x: Tensor, dt: float) -> Tensor:
+    """When a `step_response` is farther than `SETTLED` from its end for the last time `(N, 1)` [s]."""
+    after = dt * torch.arange(1, len(x) + 1, dtype=x.dtype)[:, None, None]
+    return (after * ((x - 1).abs() > SETTLED)).amax(0)

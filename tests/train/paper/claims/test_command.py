@@ -3,6 +3,7 @@
 import csv
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ def test_every_claim_is_complete_and_has_a_name_of_its_own():
         for sentence in (claim.says, claim.rule):
             assert sentence[0].isupper() and sentence.endswith(".") and len(sentence) > 10
         assert callable(claim.measure)
+
+
+def test_the_page_has_a_row_for_every_claim_with_its_rule():
+    page = (Path(__file__).parents[4] / "docs" / "claims.md").read_text().splitlines()
+    rows = [line.split(" | ")[:3] for line in page if line.startswith("| `")]
+    assert rows == [[f"| `{name}`", claim.where, f"{claim.says} *{claim.rule}*"] for name, claim in CLAIMS.items()]
 
 
 def test_every_figure_that_says_something_has_a_claim():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from torchds.plants import PointMass
 from train.paper.claims import impedance
 from train.paper.claims.base import HELD, NOT_HELD, verdict
 from train.paper.measured.base import Setting
@@ -68,7 +69,13 @@ def test_diagonal_stiffness_has_to_end_below_isotropic(isotropic, expected, monk
 
 @pytest.mark.slow
 def test_the_controller_as_printed_is_critically_damped_and_the_disturbance_is_there_before_learning():
-    (damped,) = impedance.damping(SETTING)
-    assert damped.holds and damped.n == 41 and "41 of 41" in damped.what
+    for damped in impedance.damping(SETTING):
+        assert damped.holds and damped.n == 41 and "41 of 41" in damped.what
     assert verdict(impedance.disturbed(SETTING)) == HELD
     assert verdict(impedance.missed(SETTING)) == HELD
+
+
+@pytest.mark.slow
+def test_more_damping_than_critical_settles_too_late(monkeypatch):
+    monkeypatch.setattr(impedance, "PointMass", lambda mass, damping: PointMass(mass, damping=0.5))
+    assert [check.holds for check in impedance.damping(SETTING)] == [True, False]

@@ -13,7 +13,7 @@ from train.paper.measured import impedance
 
 
 @pytest.mark.slow
-def test_the_overshoot_is_that_of_the_printed_equations():
+def test_overshoot_and_settling_are_those_of_the_printed_equations():
     s, m, dt = 30.0, 1.0, 0.1
     D = 2 * np.sqrt(s * m)
     state, highest = np.zeros(2), 0.0
@@ -22,10 +22,18 @@ def test_the_overshoot_is_that_of_the_printed_equations():
         matrix = np.array([[1.0, -dt], [s * dt / m, 1 + D * dt / m]])
         state = np.linalg.solve(matrix, state + np.array([0.0, s * dt / m]))
         highest = max(highest, state[0])
-    found = impedance.overshoot(ImpedanceControlled(PointMass(m, 0.0)), torch.tensor([[s]], dtype=torch.float64), dt)
-    assert float(found) == pytest.approx(highest - 1, abs=1e-12)
-    stiff = torch.tensor([[1000.0]], dtype=torch.float64)
-    assert float(impedance.overshoot(ImpedanceControlled(PointMass(m, 0.0), form="explicit"), stiff, dt)) == np.inf
+
+    def response(s, dt, **form):
+        stiffness = torch.tensor([[s]], dtype=torch.float64)
+        return impedance.step_response(ImpedanceControlled(PointMass(m, 0.0), **form), stiffness, dt)
+
+    assert float(impedance.overshoot(response(s, dt))) == pytest.approx(highest - 1, abs=1e-12)
+    away = response(1000.0, dt, form="explicit")
+    assert float(impedance.overshoot(away)) == np.inf
+    assert float(impedance.settling(away, dt)) == pytest.approx(dt * impedance.STEPS)  # never
+    z = impedance.CRITICAL  # with small steps it is the closed form
+    assert (1 + z) * np.exp(-z) == pytest.approx(impedance.SETTLED, rel=1e-4)
+    assert float(impedance.settling(response(400.0, 1e-3), 1e-3)) == pytest.approx(z / 20, rel=0.01)
 
 
 def test_stiffness_by_half_is_that_of_loops(randn):
