@@ -8,9 +8,11 @@ from typing import Any
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
-# For the kernels that run the tutorials: the checkout, one look for all figures, one thread, no warnings of machine paths.
+# For the kernels that run the tutorials: the checkout, one look for all figures, which are pictures in the page, one thread, no
+# warnings of machine paths.
 os.environ |= {
     "PYTHONPATH": str(ROOT),
+    "MPLBACKEND": "module://matplotlib_inline.backend_inline",
     "MATPLOTLIBRC": str(Path(__file__).parent),
     "OMP_NUM_THREADS": "1",
     "PYTHONWARNINGS": "ignore",

@@ -1,4 +1,4 @@
-"""Links of a built site that lead nowhere, and what it loads from elsewhere: `python -m tests.project.site FOLDER`."""
+"""Faults of a built site, links, things from elsewhere, figures in words: `python -m tests.project.site FOLDER`."""
 
 import sys
 from html.parser import HTMLParser
@@ -11,7 +11,7 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.links, self.loaded, self.anchors = [], [], set()
+        self.links, self.loaded, self.anchors, self.words = [], [], set(), "&lt;Figure size" in text
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
@@ -33,6 +33,8 @@ def faults(folder):
         if "_static" not in path.parts
     }
     for path, page in pages.items():
+        if page.words:
+            yield f"{path}: a figure is there in words alone"
         for link in [*page.links, *page.loaded]:
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:

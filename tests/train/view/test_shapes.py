@@ -55,7 +55,7 @@ def test_a_mesh_is_where_its_vertices_say_and_what_the_viewer_hides_is_not_there
     shapes = Shapes(mujoco.MjModel.from_xml_string(MESH))
     ((vertices, faces, _),) = shapes.solids
     solid, _ = shapes.at(np.array([np.pi / 2, 0.0]))
-    turn = Rotation.from_quat(solid.wxyz[0], scalar_first=True)
+    turn = Rotation.from_quat(np.roll(solid.wxyz[0], -1))  # (w, x, y, z) there
     corners = turn.apply(vertices) + solid.x[0]
     expected = [[0, 0, 0.5], [0, 0, 0.2], [0, 0.2, 0.5], [0.1, 0, 0.5]]  # x becomes -z, and z becomes x
     np.testing.assert_allclose(corners, expected, atol=1e-6)
