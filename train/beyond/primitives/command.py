@@ -20,7 +20,7 @@ from train.beyond.primitives.rows import Row, Seen
 from train.folder import new_folder, versions, write_text
 from train.learning.learner import Learner
 from train.learning.run import check, distinct
-from train.options import LEARNERS, options_for
+from train.options import LEARNERS, RunOptions, options_for
 from train.statistics import differ, of_costs, quartiles
 from train.tables import markdown
 
@@ -58,7 +58,7 @@ class Primitives:
         Raises:
             InvalidArgumentError: numbers out of range.
         """
-        check(options_for("via_point", seed=self.seed, updates=self.updates))
+        check(RunOptions(seed=self.seed, updates=self.updates))
         if self.runs < 2 or not self.distance > 0 or not 0 < self.seconds < 20:
             raise InvalidArgumentError(
                 f"--runs of at least 2, a positive --distance and --seconds between 0 and 20 are needed, got {self.runs}, "

@@ -18,10 +18,11 @@ from tqdm import tqdm
 import tasks
 import torchds
 import train
-from torchds.errors import FileError, InvalidArgumentError, UnknownNameError
+from torchds.errors import FileError, UnknownNameError
 from torchds.files import read_sealed, write_sealed
 from train.folder import Interrupted, make_folder, versions, write_text
-from train.options import check_seed
+from train.learning.run import check
+from train.options import RunOptions
 from train.paper.claims import digging, impedance, limits, noise, report, stable, via_points
 from train.paper.claims.base import Check, Claim
 from train.paper.measured.base import Setting
@@ -66,15 +67,13 @@ class Claims:
 
         Raises:
             UnknownNameError: a claim that does not exist.
-            InvalidArgumentError: no runs.
+            InvalidArgumentError: numbers out of range.
             Interrupted: from the keyboard; the same command continues.
         """
         for name in self.only:
             if name not in CLAIMS:
                 raise UnknownNameError("claim", name, CLAIMS)
-        if self.runs < 1:
-            raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
-        check_seed(self.seed)
+        check(RunOptions(runs=self.runs, seed=self.seed))
         experiment = Experiment(self.logdir / "lwr_digging" / f"experiment-{self.seed}", self.seed)
         setting = Setting(self.runs, self.seed, experiment)
         folder = self.logdir / "claims"

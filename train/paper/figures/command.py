@@ -15,7 +15,8 @@ from tqdm import tqdm
 from torchds import plotting
 from torchds.errors import InvalidArgumentError
 from train.folder import make_folder, write_text
-from train.options import check_seed
+from train.learning.run import check
+from train.options import RunOptions
 from train.paper.figures import digging, impedance, noise, stable, via_points
 from train.paper.figures.base import Made
 from train.paper.measured.digging import Experiment
@@ -64,9 +65,7 @@ class Figures:
         Raises:
             InvalidArgumentError: a number that is not among the figures, or no runs.
         """
-        check_seed(self.seed)
-        if self.runs < 1:
-            raise InvalidArgumentError(f"--runs has to be at least 1, got {self.runs}")
+        check(RunOptions(runs=self.runs, seed=self.seed))
         known = (*FIGURES, *DIGGING)
         if strangers := sorted(set(self.figure) - set(known)):
             raise InvalidArgumentError(
